@@ -1,0 +1,1 @@
+"""The bench: the only place that imports both semsim and semrecon."""
