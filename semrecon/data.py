@@ -170,7 +170,7 @@ class Tracks:
     @property
     def seen(self) -> Mask:
         """True where a view sees the track, shape (tracks, views)."""
-        return np.isfinite(self.xy_px).all(axis=2)
+        return np.asarray(np.isfinite(self.xy_px).all(axis=2))
 
 
 @dataclass(frozen=True)
@@ -181,8 +181,8 @@ class PointCloud:
     ----------
     xyz_um
         (points, 3), in the frame that the holder states (world unless said otherwise; z is up).
-    sigma_um
-        Standard deviation of each point along the beam of its reference view, (points,); NaN where unknown.
+    covariance_um2
+        Covariance of each point in the same frame, (points, 3, 3); NaN where unknown.
     residual_px
         Root-mean-square reprojection error of each point over its views, (points,); NaN where unknown.
     xy_px
@@ -190,16 +190,21 @@ class PointCloud:
     """
 
     xyz_um: Array
-    sigma_um: Array
+    covariance_um2: Array
     residual_px: Array
     xy_px: Array
 
     def __len__(self) -> int:
         return len(self.xyz_um)
 
+    @property
+    def sigma_um(self) -> Array:
+        """One standard deviation of each point along z, (points,)."""
+        return np.sqrt(self.covariance_um2[:, 2, 2])
+
     def keep(self, mask: NDArray[Any]) -> PointCloud:
         """Select points by a boolean mask or an index array."""
-        return PointCloud(self.xyz_um[mask], self.sigma_um[mask], self.residual_px[mask], self.xy_px[mask])
+        return PointCloud(self.xyz_um[mask], self.covariance_um2[mask], self.residual_px[mask], self.xy_px[mask])
 
 
 @dataclass(frozen=True)
