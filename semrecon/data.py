@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -79,7 +78,7 @@ class View:
     tilt_deg: float
     name: str = ""
     mask: Mask | None = None
-    channels: Mapping[str, Image] = field(default_factory=lambda: MappingProxyType({}))
+    channels: Mapping[str, Image] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.image.ndim != 2:
@@ -261,5 +260,5 @@ class Estimate:
     poses: Poses | None = None
     clouds: tuple[PointCloud, ...] = ()
     pairs: tuple[tuple[int, int], ...] = ()
-    diagnostics: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()

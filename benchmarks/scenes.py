@@ -1,0 +1,160 @@
+"""What a study photographs or reads: sources of tilt series, simulated with truth or real without."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from benchmarks.adapt import series_from_capture
+from benchmarks.evaluate import commonly_visible
+from benchmarks.runner import code_version, digest, seed_of
+from semrecon.data import Array, Mask, TiltSeries
+from semrecon.geometry import tilt_rotation
+from semsim.capture import Capture, Surfaces, expose, prepare
+from semsim.scene import Scene, scaled, scene, tables
+from semsim.truth import GroundTruth
+
+Progress = Callable[[str, int, int], None]
+
+
+class Source(Protocol):
+    """Where the series of a study come from."""
+
+    @property
+    def name(self) -> str:
+        """What tables call it."""
+
+    @property
+    def identity(self) -> str:
+        """Digest of all that decides its images."""
+
+    def series(self, repetition: int) -> TiltSeries:
+        """Images of one repetition, with nominal settings."""
+
+    def truth(self) -> GroundTruth | None:
+        """Exact truth; None where nobody knows it."""
+
+    def judgeable(self, views: tuple[int, ...], step: int) -> Mask:
+        """Tell what all of `views` see, on every `step`-th row and column of the first of them."""
+
+
+@dataclass(frozen=True)
+class SimulatedSource:
+    """A scene photographed anew, with new noise, in every repetition.
+
+    Parameters
+    ----------
+    scene
+        What is photographed.
+    cache
+        Folder where its surfaces are kept: they are the same in all repetitions and cost most.
+    """
+
+    scene: Scene
+    cache: Path
+
+    @property
+    def name(self) -> str:
+        """Name of the scene."""
+        return self.scene.name
+
+    @property
+    def identity(self) -> str:
+        """Digest of the scene's settings."""
+        return digest(tables(self.scene))
+
+    def prepare(self, progress: Progress | None = None) -> None:
+        """Make mesh, surfaces and noise-free signal, once; a file that was half written is never seen."""
+        if self._path.is_file():
+            return
+        self.cache.mkdir(parents=True, exist_ok=True)
+        partial = self._path.with_suffix(f".{os.getpid()}.partial")
+        partial.write_bytes(pickle.dumps(prepare(self.scene, progress), protocol=5))
+        partial.replace(self._path)
+
+    def series(self, repetition: int) -> TiltSeries:
+        """Expose the prepared surfaces with the noise of this repetition."""
+        surfaces = self._surfaces()
+        images = expose(surfaces, np.random.default_rng(seed_of(self.name, repetition)))
+        return series_from_capture(Capture(images, self.scene, surfaces.truth))
+
+    def truth(self) -> GroundTruth:
+        """Truth of the scene."""
+        return self._surfaces().truth
+
+    def judgeable(self, views: tuple[int, ...], step: int) -> Mask:
+        """Tell what all of `views` see, on every `step`-th row and column of the first of them."""
+        return _judgeable(self, views, step)
+
+    @property
+    def _path(self) -> Path:
+        return self.cache / f"{self.name}-{digest(tables(self.scene), code_version('semsim'))}.pickle"
+
+    def _surfaces(self) -> Surfaces:
+        self.prepare()
+        return _loaded(self._path)
+
+
+@lru_cache(maxsize=1)
+def _loaded(path: Path) -> Surfaces:
+    surfaces = pickle.loads(path.read_bytes())  # written by `prepare` in this very folder
+    assert isinstance(surfaces, Surfaces)
+    return surfaces
+
+
+@lru_cache(maxsize=16)
+def _judgeable(source: SimulatedSource, views: tuple[int, ...], step: int) -> Mask:
+    return commonly_visible(source.truth(), views[0], views[1:], step)
+
+
+@dataclass(frozen=True, eq=False)
+class RealSource:
+    """Real micrographs: the same in every repetition, and without truth."""
+
+    name: str
+    images: TiltSeries
+
+    @property
+    def identity(self) -> str:
+        """Digest of pixels and settings."""
+        content = hashlib.sha256(repr((self.images.optics, self.images.tilts_deg, self.images.tilt_axis_deg)).encode())
+        for view in self.images.views:
+            content.update(view.image.tobytes())
+        return content.hexdigest()[:32]
+
+    def series(self, repetition: int) -> TiltSeries:  # noqa: ARG002 - the only images there are
+        """Return the series."""
+        return self.images
+
+    def truth(self) -> None:
+        """Nobody knows it."""
+
+    def judgeable(self, views: tuple[int, ...], step: int) -> Mask:
+        """Nothing can be judged."""
+        raise ValueError(f"{self.name} is real: there is no truth to judge views {views} by on every {step}-th row")
+
+
+def paper_scenes(cache: Path, *, quick: bool) -> tuple[SimulatedSource, ...]:
+    """Make the two series of the seed's Table 1; `quick` halves the columns of pollen and quarters the diatom's."""
+    factors = {"pollen": 0.5, "diatom": 0.25} if quick else {"pollen": 1.0, "diatom": 1.0}
+    scenes = (scene(name) if factor == 1 else scaled(scene(name), factor) for name, factor in factors.items())
+    return tuple(SimulatedSource(each, cache) for each in scenes)
+
+
+def with_tilt_step(series: TiltSeries, step_deg: float) -> TiltSeries:
+    """State the tilts as multiples of one step from the first view, whatever the files say."""
+    views = tuple(replace(view, tilt_deg=i * step_deg) for i, view in enumerate(series.views))
+    return replace(series, views=views)
+
+
+def views_from_world(series: TiltSeries) -> Array:
+    """R_view_from_world of every view from the nominal tilts, (views, 3, 3)."""
+    return np.stack([tilt_rotation(float(tilt), series.tilt_axis_deg) for tilt in series.tilts_deg])

@@ -1,0 +1,161 @@
+"""The seed's method: known rotation, translation by the linear system, triangulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from semrecon.correspondence import CorrespondenceOptions, PairMatches, match_adjacent_pairs, match_pairs
+from semrecon.data import Estimate, PointCloud, TiltSeries
+from semrecon.errors import MethodError
+from semrecon.geometry import centred_um, rotations_from_tilts
+from semrecon.joint_translation import SeriesTranslation, solve_series
+from semrecon.methods.base import Gauge, Need
+from semrecon.methods.pair_clouds import (
+    heights_of,
+    match_diagnostics,
+    pair_clouds_of,
+    register_pair_clouds,
+    skew_warnings,
+)
+from semrecon.robust import NoiseFit, fit_noise
+from semrecon.tracks import join_matches
+from semrecon.translation import solve_closed_form
+from semrecon.triangulation import pair_cloud, triangulate
+
+
+@dataclass(frozen=True)
+class KnownRotation:
+    """Known rotation, translation by linear equations, triangulation.
+
+    Parameters
+    ----------
+    correspondence
+        How matches are found and trusted.
+    pairs
+        Match "all" pairs of views, so that points have as many sightings as can be had, or "adjacent" ones only, as
+        the seed does.
+    merge
+        "poses": translations of all views at once, each point from all its views. "icp": the seed's published form,
+        a cloud for each adjacent pair (generalised inverse, Eqs. 4 to 6), brought together by registration.
+    reject_sigmas
+        Leave out points whose reprojection error is as unlikely as so many standard deviations.
+    """
+
+    correspondence: CorrespondenceOptions = field(default_factory=CorrespondenceOptions)
+    pairs: Literal["all", "adjacent"] = "all"
+    merge: Literal["poses", "icp"] = "poses"
+    reject_sigmas: float = 3.5
+
+    name: ClassVar[str] = "known_rotation"
+    citation: ClassVar[str] = (
+        "Research on micro/nano scale 3D reconstruction based on scanning electron microscope, sections 3.2 and 3.3"
+    )
+    needs: ClassVar[tuple[Need, ...]] = ("rotations", "pixel_size", "tilt_axis")
+    views: ClassVar[tuple[int, int | None]] = (2, None)
+    gauge: ClassVar[tuple[Gauge, ...]] = ("offset",)
+
+    def __call__(self, series: TiltSeries, *, rng: np.random.Generator) -> Estimate:
+        """Match the views, then reconstruct; raises `MethodError` with a sentence where it cannot."""
+        if self.merge == "icp" or self.pairs == "adjacent":
+            return self.from_matches(series, match_adjacent_pairs(series, self.correspondence, rng))
+        pairs = list(combinations(range(len(series)), 2))
+        return self.from_matches(series, match_pairs(series, pairs, self.correspondence, rng, optional=True))
+
+    def from_matches(self, series: TiltSeries, matches: Sequence[PairMatches]) -> Estimate:
+        """Reconstruct from matches that are at hand, so that several methods can share them."""
+        return self._by_registration(series, matches) if self.merge == "icp" else self._by_poses(series, matches)
+
+    def _by_poses(self, series: TiltSeries, matches: Sequence[PairMatches]) -> Estimate:
+        """Tracks over all views, all translations at once, one triangulation."""
+        tracks = join_matches(matches, len(series))
+        rotations = rotations_from_tilts(series.tilts_deg, series.tilt_axis_deg)
+        solved = solve_series(tracks, rotations, series.optics, reference=series.reference)
+        cloud = triangulate(tracks, solved.poses, series.optics, reference=series.reference)
+        views = tracks.seen.sum(axis=1)
+        noise = fit_noise(cloud.residual_px, views, sigmas=self.reject_sigmas)
+        points = _with_noise(cloud.keep(noise.inliers), noise.sigma_px)
+        clouds, pairs = self._clouds(series, matches)
+        return Estimate(
+            points=points,
+            heights=heights_of(series, points, solved.poses.translations_um[series.reference]),
+            poses=solved.poses,
+            clouds=clouds,
+            pairs=pairs,
+            diagnostics=match_diagnostics(series, matches) | _pose_diagnostics(views, noise, solved),
+            warnings=skew_warnings(series, matches),
+        )
+
+    def _by_registration(self, series: TiltSeries, matches: Sequence[PairMatches]) -> Estimate:
+        """Clouds of adjacent pairs, each in its own frame, registered to the first."""
+        adjacent = _adjacent(matches)
+        kept = [self._trusted(series, one) for one in adjacent]
+        clouds = pair_clouds_of([one for one, _ in kept], [cloud for _, cloud in kept])
+        points, registration = register_pair_clouds(series, clouds)
+        found: dict[str, Any] = {
+            "points": len(points),
+            "rejected": sum(len(one.matches) for one in adjacent) - len(points),
+            "registration_rmse_um": registration.rmse_um,
+        }
+        return Estimate(
+            points=points,
+            heights=heights_of(series, points),
+            clouds=tuple(one.cloud for one in clouds),
+            pairs=tuple(one.pair for one in clouds),
+            diagnostics=match_diagnostics(series, adjacent) | found,
+            warnings=skew_warnings(series, adjacent),
+        )
+
+    def _clouds(
+        self, series: TiltSeries, matches: Sequence[PairMatches]
+    ) -> tuple[tuple[PointCloud, ...], tuple[tuple[int, int], ...]]:
+        kept = [self._trusted(series, one) for one in matches if one.pair[1] == one.pair[0] + 1]
+        return tuple(cloud for _, cloud in kept), tuple(one.pair for one, _ in kept)
+
+    def _trusted(self, series: TiltSeries, one: PairMatches) -> tuple[PairMatches, PointCloud]:
+        """Reconstruct a pair, without what its reprojection error speaks against."""
+        cloud = reconstruct_pair(series, one)
+        noise = fit_noise(cloud.residual_px, np.full(len(cloud), 2), sigmas=self.reject_sigmas)
+        return one.keep(noise.inliers), _with_noise(cloud.keep(noise.inliers), noise.sigma_px)
+
+
+def reconstruct_pair(series: TiltSeries, one: PairMatches) -> PointCloud:
+    """Reconstruct one pair as published: Eqs. 4, 5 by the generalised inverse, then Eq. 6, in its first view's frame.
+
+    The closed form stands in for the matrix, which it equals to rounding; across the epipolar lines the median takes
+    the place of the mean. The depth gauge is the generalised inverse's: least norm.
+    """
+    first, second = rotations_from_tilts(series.tilts_deg[list(one.pair)], series.tilt_axis_deg)
+    relative = second @ first.T
+    xy1, xy2 = one.matches.xy1_px, one.matches.xy2_px
+    m1, m2 = centred_um(xy1, series.optics), centred_um(xy2, series.optics)
+    solved = solve_closed_form(m1, m2, relative, gauge="minimum_norm")
+    return pair_cloud(xy1, xy2, relative, solved.translation_um, series.optics)
+
+
+def _adjacent(matches: Sequence[PairMatches]) -> tuple[PairMatches, ...]:
+    adjacent = tuple(one for one in matches if one.pair[1] == one.pair[0] + 1)
+    if not adjacent:
+        raise MethodError("registration needs matches between views that follow each other, and there are none")
+    return adjacent
+
+
+def _with_noise(cloud: PointCloud, sigma_px: float) -> PointCloud:
+    """Scale the covariances, made for a noise of one pixel, to the noise that was found."""
+    return PointCloud(cloud.xyz_um, cloud.covariance_um2 * sigma_px**2, cloud.residual_px, cloud.xy_px)
+
+
+def _pose_diagnostics(views: np.ndarray, noise: NoiseFit, solved: SeriesTranslation) -> dict[str, Any]:
+    return {
+        "tracks": len(views),
+        "tracks_by_views": {str(n): int((views == n).sum()) for n in np.unique(views)},
+        "rejected": int((~noise.inliers).sum()),
+        "sigma_px": noise.sigma_px,
+        "rank": solved.rank,
+        "condition": solved.condition,
+        "depth_gauge": list(solved.gauge),
+    }

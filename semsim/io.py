@@ -1,0 +1,175 @@
+"""The tilt-series folder on disk: series.toml and pictures for everybody, truth/ for the judge."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from semsim import __version__
+from semsim.capture import Capture
+from semsim.errors import InputError
+from semsim.mesh import Mesh
+from semsim.microscope import Pose
+from semsim.scene import load_scene, tables
+from semsim.surface import buffer_from_depth
+from semsim.truth import GroundTruth
+
+OURS = ("series.toml", "view_*.tif", "truth/mesh.ply", "truth/truth.npz", "truth/settings.toml")
+"""Everything that a simulated series may hold."""
+
+
+def write_series(capture: Capture, out_dir: str | Path, seed: int | None = None) -> Path:
+    """Write a tilt series with its truth; what was there before stays untouched until the last moment.
+
+    Parameters
+    ----------
+    out_dir
+        New, empty, or a series that was written before, which is replaced as a whole.
+    seed
+        To be noted in the settings.
+
+    Raises
+    ------
+    InputError
+        The folder holds something else.
+    """
+    out = Path(out_dir).absolute()
+    require_free(out)
+    with _replacing(out) as folder:
+        _write_views(capture, folder)
+        (folder / "truth").mkdir()
+        write_ply(capture.truth.mesh, folder / "truth" / "mesh.ply")
+        _write_truth(capture.truth, folder / "truth" / "truth.npz")
+        _write_settings(capture, folder / "truth" / "settings.toml", seed)
+    return out
+
+
+def require_free(out_dir: str | Path) -> None:
+    """Raise InputError unless a folder can be made, is empty, or holds nothing but a series that semsim wrote."""
+    out = Path(out_dir)
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out} is a file; give a folder for the series")
+    home = next(parent for parent in out.absolute().parents if parent.exists())
+    if not (home.is_dir() and os.access(home, os.W_OK)):
+        raise InputError(f"{out} cannot be made, since {home} is not a folder that can be written to; give another")
+    if not out.exists() or not any(out.iterdir()):
+        return
+    known = {path for pattern in OURS for path in out.glob(pattern)} | {out / "truth"}
+    strangers = sorted(path.relative_to(out) for path in out.rglob("*") if path not in known)
+    if strangers or not (out / "truth" / "settings.toml").is_file():
+        what = strangers[0] if strangers else "no truth/settings.toml"
+        raise InputError(f"{out} is not a series written by semsim (it has {what}); give a new or empty folder")
+
+
+def read_truth(series_dir: str | Path) -> GroundTruth:
+    """Read back the truth of a simulated series, to the last bit of what was written.
+
+    Raises
+    ------
+    InputError
+        The folder has no truth, or it cannot be read.
+    """
+    truth_dir = Path(series_dir) / "truth"
+    if not (truth_dir / "truth.npz").is_file():
+        raise InputError(f"{series_dir} holds no truth/truth.npz; it is not a series written by semsim")
+    microscope = load_scene(truth_dir / "settings.toml").microscope
+    mesh = read_ply(truth_dir / "mesh.ply")
+    try:
+        with np.load(truth_dir / "truth.npz") as arrays:
+            rotations, translations = arrays["rotations"], arrays["translations_um"]
+            depths, faces = arrays["depth_um"], arrays["face"]
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{truth_dir / 'truth.npz'} cannot be read: {error}") from error
+    views = tuple(Pose(*pose) for pose in zip(rotations, translations, strict=True))
+    buffers = (
+        buffer_from_depth(mesh, microscope, pose, depth, face)
+        for pose, depth, face in zip(views, depths, faces, strict=True)
+    )
+    return GroundTruth(mesh, microscope, views, tuple(buffers))
+
+
+def write_ply(mesh: Mesh, path: Path) -> None:
+    """Write a mesh as binary PLY with float64 vertices, and the yield as a vertex property where there is one."""
+    names = ["x", "y", "z"] + (["yield"] if mesh.vertex_yield is not None else [])
+    columns = [mesh.vertices_um] + ([mesh.vertex_yield[:, None]] if mesh.vertex_yield is not None else [])
+    faces = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, mesh.faces
+    lines = ["ply", "format binary_little_endian 1.0", "comment um", f"element vertex {len(mesh.vertices_um)}"]
+    lines += [f"property double {name}" for name in names]
+    lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
+    with path.open("wb") as file:
+        file.write("\n".join(lines).encode("ascii"))
+        file.write(np.concatenate(columns, axis=1).astype("<f8").tobytes())
+        file.write(faces.tobytes())
+
+
+def read_ply(path: Path) -> Mesh:
+    """Read a mesh that `write_ply` wrote; raises InputError for anything else."""
+    head, end, body = path.read_bytes().partition(b"end_header\n")
+    words = [line.split() for line in head.decode("ascii", "replace").splitlines()]
+    counts = {word[1]: int(word[2]) for word in words if word[:1] == ["element"]}
+    columns = [word[2] for word in words if word[:2] == ["property", "double"]]
+    vertices, faces = counts.get("vertex", 0), counts.get("face", 0)
+    split = 8 * vertices * len(columns)
+    if not end or columns[:3] != ["x", "y", "z"] or len(body) != split + 13 * faces:
+        raise InputError(f"{path} is not a whole mesh written by semsim")
+    values = np.frombuffer(body[:split], dtype="<f8").reshape(vertices, len(columns))
+    corners = np.frombuffer(body[split:], dtype=[("count", "u1"), ("corners", "<i4", 3)])["corners"]
+    return Mesh(values[:, :3].copy(), corners.copy(), values[:, 3].copy() if "yield" in columns else None)
+
+
+def _write_views(capture: Capture, folder: Path) -> None:
+    import tifffile
+    import tomli_w
+
+    microscope, schedule = capture.scene.microscope, capture.scene.schedule
+    names = [f"view_{i:02d}.tif" for i in range(len(capture.images))]
+    for name, image in zip(names, capture.images, strict=True):
+        tifffile.imwrite(folder / name, image, photometric="minisblack")
+    series = {"pixel_size_um": microscope.pixel_size_um, "tilt_axis_deg": schedule.tilt_axis_deg}
+    if microscope.working_distance_um is not None:
+        series["working_distance_um"] = microscope.working_distance_um
+    views = [{"image": name, "tilt_deg": tilt} for name, tilt in zip(names, schedule.tilts_deg, strict=True)]
+    (folder / "series.toml").write_text(tomli_w.dumps({**series, "view": views}), encoding="utf-8")
+
+
+def _write_truth(truth: GroundTruth, path: Path) -> None:
+    """Per view: pose, depth (float64: float32 is not the truth), triangle; and who sees what, [i, j, row, column]."""
+    views = range(len(truth))
+    np.savez_compressed(
+        path,
+        rotations=np.stack([pose.rotation for pose in truth.poses]),
+        translations_um=np.stack([pose.translation_um for pose in truth.poses]),
+        depth_um=np.stack([buffer.depth_um for buffer in truth.buffers]),
+        face=np.stack([buffer.face for buffer in truth.buffers]),
+        visibility=np.stack([np.stack([truth.visibility(i, j) for j in views]) for i in views]),
+    )
+
+
+def _write_settings(capture: Capture, path: Path, seed: int | None) -> None:
+    import tomli_w
+
+    noted = "" if seed is None else f", noise seed {seed}"
+    text = f"# The scene, as semsim {__version__} rendered it{noted}.\n" + tomli_w.dumps(tables(capture.scene))
+    path.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def _replacing(out: Path) -> Iterator[Path]:
+    """Lend a new folder beside `out` that takes its place at the end, or vanishes if anything goes wrong."""
+    partial, former = (out.with_name(f".{out.name}.{os.getpid()}.{word}") for word in ("partial", "former"))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    partial.mkdir()
+    try:
+        yield partial
+        if out.exists():
+            out.rename(former)
+        partial.rename(out)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+        shutil.rmtree(former, ignore_errors=True)

@@ -1,0 +1,185 @@
+"""Claims on the `semrecon` command: what it reads, what wins over what, what it writes, how fast it answers."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from click.testing import Result
+from known_surface import KnowsTheBump, bump_series, bump_um, grid_um
+from typer.testing import CliRunner
+
+from semrecon.cli import app
+from semrecon.export import FILES
+from semrecon.methods import METHODS
+from semrecon.series import write_series
+
+SLOW = ("open3d", "rerun", "matplotlib", "cv2", "scipy", "numba", "numpy", "tifffile", "PIL", "trimesh", "skimage")
+TILTS = (0.0, 6.0, 12.0)
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("cli") / "series"
+    write_series(bump_series(TILTS), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def images(series: Path) -> list[Path]:
+    return sorted(series.glob("*.tif"))
+
+
+def zeiss_file(path: Path, tilt: float, pixel_nm: float = 100.0) -> Path:
+    """Write a small image with the block of a Zeiss microscope."""
+    lines = ["\r\n0", "AP_IMAGE_PIXEL_SIZE", f"Image Pixel Size = {pixel_nm} nm", "AP_STAGE_AT_T"]
+    lines += [f"Stage at T = {tilt} °", "DP_STAGE_TILTED", "Stage Tilt = in X", "DP_IMAGE_STORE"]
+    lines += ["Store resolution = 120 * 160", ""]  # turned by a quarter after the scan: the axis is vertical
+    block = "\r\n".join(lines).encode("cp1252")
+    image = bump_series((tilt,)).views[0].image
+    tifffile.imwrite(path, image, extratags=[(34118, 7, len(block), block, True)], metadata=None)
+    return path
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Options that choose a method which answers at once."""
+    monkeypatch.setattr("semrecon.methods.METHODS", (*METHODS, KnowsTheBump()))
+    return ["--method", "knows_the_bump"]
+
+
+def report(out: Path) -> dict:
+    return json.loads((out / "report.json").read_text())
+
+
+def test_help_imports_nothing_slow() -> None:
+    code = f"import sys, semrecon.cli; print(sorted(set({SLOW}) & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_installed_command_answers() -> None:
+    command = Path(sys.executable).with_name("semrecon")
+    done = subprocess.run([command, "--help"], capture_output=True, text=True, check=True)
+    assert "reconstruct" in done.stdout
+
+
+def test_a_series_folder(series: Path, tmp_path: Path) -> None:
+    result = run("reconstruct", series, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert {path.name for path in (tmp_path / "out").iterdir()} == set(FILES)
+    assert "median sigma" in result.stdout
+    assert report(tmp_path / "out")["series"]["stated_by"] == ["series.toml"]
+    error = tifffile.imread(tmp_path / "out" / "height.tif") - bump_um(*grid_um())
+    error -= np.nanmedian(error)  # the gauge: absolute height cannot be seen
+    assert np.nanmedian(np.abs(error)) < 0.1  # of 3 um, upright
+
+
+def test_plain_images_give_what_the_folder_gives(
+    series: Path, images: list[Path], tmp_path: Path, quick: list[str]
+) -> None:
+    run("reconstruct", series, "--out", tmp_path / "a")
+    result = run("reconstruct", *images, "--tilts", "0,6,12", "--pixel-size-um", "0.1", "--out", tmp_path / "b")
+    assert result.exit_code == 0, result.output
+    for name in ("height.tif", "sigma.tif", "points.ply", "mesh.ply"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_tilts_may_begin_with_a_minus_sign(images: list[Path], tmp_path: Path, quick: list[str]) -> None:
+    result = run(
+        "reconstruct", *quick, *images, "--tilts", "-9,-3,3.5", "--pixel-size-um", "0.1", "--out", tmp_path / "out"
+    )
+    assert result.exit_code == 0, result.output
+    assert [view["tilt_deg"] for view in report(tmp_path / "out")["series"]["views"]] == [-9, -3, 3.5]
+
+
+def test_flip_tilt_turns_the_sign(series: Path, tmp_path: Path, quick: list[str]) -> None:
+    run("reconstruct", *quick, series, "--out", tmp_path / "out", "--flip-tilt")
+    assert [view["tilt_deg"] for view in report(tmp_path / "out")["series"]["views"]] == [0, -6, -12]
+
+
+def test_crop_bottom_cuts_every_image(series: Path, tmp_path: Path, quick: list[str]) -> None:
+    run("reconstruct", *quick, series, "--out", tmp_path / "out", "--crop-bottom", "20")
+    assert tifffile.imread(tmp_path / "out" / "height.tif").shape == (100, 160)
+
+
+def test_flags_win_and_say_so(series: Path, tmp_path: Path, quick: list[str]) -> None:
+    flags = ["--pixel-size-um", "0.2", "--tilts", "0,6,11", "--tilt-axis-deg", "0.5"]
+    result = run("reconstruct", *quick, series, "--out", tmp_path / "out", *flags)
+    assert result.exit_code == 0, result.output
+    for sentence in ("--pixel-size-um 0.2 overrides 0.1", "--tilts overrides", "--tilt-axis-deg 0.5 overrides 0"):
+        assert sentence in result.stderr
+        assert any(sentence in warning for warning in report(tmp_path / "out")["warnings"])
+    stated = report(tmp_path / "out")["series"]
+    assert (stated["pixel_size_um"], stated["tilt_axis_deg"], stated["views"][2]["tilt_deg"]) == (0.2, 0.5, 11)
+
+
+def test_flags_that_agree_say_nothing(series: Path, tmp_path: Path, quick: list[str]) -> None:
+    result = run(
+        "reconstruct", *quick, series, "--out", tmp_path / "out", "--pixel-size-um", "0.1", "--tilts", "0,6,12"
+    )
+    assert "overrides" not in result.stderr
+
+
+def test_zeiss_files_need_no_flags(tmp_path: Path, quick: list[str]) -> None:
+    files = [zeiss_file(tmp_path / f"{i}.tif", tilt) for i, tilt in enumerate((-6.0, 0.0, 6.0))]
+    result = run("reconstruct", *quick, *files, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    stated = report(tmp_path / "out")["series"]
+    assert [view["tilt_deg"] for view in stated["views"]] == [-6, 0, 6]
+    assert stated["pixel_size_um"] == pytest.approx(0.1)
+    assert stated["stated_by"] == ["Zeiss metadata"]
+
+
+def test_info_shows_what_each_file_says(tmp_path: Path) -> None:
+    files = [zeiss_file(tmp_path / f"{i}.tif", tilt, 100 + i) for i, tilt in enumerate((-6.0, 0.5))]
+    result = run("info", *files)
+    assert result.exit_code == 0, result.output
+    first, second = (line.split() for line in result.stdout.splitlines()[1:3])
+    assert first[1:] == ["160", "x", "120", "8", "bit", "0.1", "-6", "0", "-", "Zeiss", "metadata"]
+    assert second[6:8] == ["0.101", "0.5"]
+
+
+def test_info_of_a_series_folder(series: Path) -> None:
+    result = run("info", series)
+    assert result.exit_code == 0, result.output
+    assert result.stdout.count("series.toml") == 3
+
+
+def test_methods_are_listed() -> None:
+    result = run("methods")
+    assert result.exit_code == 0, result.output
+    assert "known_rotation" in result.stdout
+
+
+def test_a_recording_on_request(series: Path, tmp_path: Path, quick: list[str]) -> None:
+    result = run("reconstruct", *quick, series, "--out", tmp_path / "out", "--rerun")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "out" / "reconstruction.rrd").stat().st_size > 1000
+
+
+def test_again_into_the_same_folder_with_the_same_seed_is_the_same_surface(series: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run("reconstruct", series, "--out", out, "--seed", "3", "--rerun")
+    before = (out / "height.tif").read_bytes()
+    result = run("reconstruct", series, "--out", out, "--seed", "3")
+    assert result.exit_code == 0, result.output
+    assert (out / "height.tif").read_bytes() == before
+    assert not (out / "reconstruction.rrd").exists()  # the old folder went as a whole
+
+
+@pytest.mark.skipif("SEM_REAL_DATA" not in os.environ, reason="SEM_REAL_DATA names no folder of real images")
+def test_info_of_real_zeiss_files() -> None:
+    files = sorted((Path(os.environ["SEM_REAL_DATA"]) / "potamogeton").glob("*.tif"))
+    result = run("info", *files)
+    assert [line.split()[7] for line in result.stdout.splitlines()[1:]] == ["-9", "-6", "-3", "0", "3", "6", "9"]
