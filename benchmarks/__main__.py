@@ -71,6 +71,18 @@ def paper(
     typer.echo(f"Results are in {out}.")
 
 
+@app.command()
+def baselines() -> None:
+    """Measure the committed accuracy baselines anew, after a change that was meant to move them."""
+    import tempfile
+
+    from benchmarks.regression import BASELINES, guarded_scenes, measured, write_baselines
+
+    with tempfile.TemporaryDirectory() as cache:
+        write_baselines({source.name: measured(source) for source in guarded_scenes(Path(cache))})
+    typer.echo(f"Wrote {BASELINES}.")
+
+
 def _real_series(
     folder: Path, step_deg: float | None, pixel_size_um: float | None, axis_deg: float | None
 ) -> TiltSeries:

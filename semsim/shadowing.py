@@ -27,7 +27,7 @@ def sky_visibility(buffer: SurfaceBuffer, pose: Pose, pixel_size_um: float, reac
 
     With ``h`` the angle by which the horizon in one direction rises over the tangent plane, the cosine-weighted share
     is ``cos(h)^2``, averaged over the directions. What a wall takes from it falls off as ``1 - (distance / reach)^2``,
-    so that no shadow ends in an edge. Places outside the picture count as open.
+    so that shadows begin softly. Places outside the picture count as open.
 
     Parameters
     ----------

@@ -78,9 +78,9 @@ class Diatom:
     areola_depth_um: float = 2.4
     sieve_um: float = 0.3
     roughness_um: float = 0.07
-    contrast: float = 0.03
+    contrast: float = 0.04
     grain_um: float = 0.7
-    edge_um: float = 0.3
+    edge_um: float = 0.33
     frame_width_um: float = 213.4
     frame_height_um: float = 160.1
 

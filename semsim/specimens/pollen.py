@@ -72,9 +72,9 @@ class Pollen:
     lumen_depth_um: float = 5.5
     murus_width_um: float = 2.9
     bacula_um: float = 1.5
-    roughness_um: float = 0.1
-    contrast: float = 0.03
-    grain_um: float = 0.9
+    roughness_um: float = 0.12
+    contrast: float = 0.05
+    grain_um: float = 0.8
     edge_um: float = 0.42
     frame_width_um: float = 125.6
     frame_height_um: float = 94.1
