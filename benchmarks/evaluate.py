@@ -24,11 +24,14 @@ class CloudScore:
     ----------
     errors_um
         Estimated minus true height along the beam of the view, after removal of the gauge, (points,).
+    offset_um
+        How far the cloud as a whole lay above the truth before that; along the beam.
     summary
-        The same in numbers; its completeness counts points, not the surface (see `map_score`).
+        The errors in numbers; its completeness counts points, not the surface (see `map_score`).
     """
 
     errors_um: Array
+    offset_um: float
     summary: DepthErrors
 
 
@@ -41,10 +44,10 @@ def cloud_score(cloud: PointCloud, truth: GroundTruth, view: int, gauge: Sequenc
     """Judge a cloud in the view frame of `view`; only the declared gauge is removed."""
     true = true_heights(truth, view, cloud.xy_px)
     xy_um = cloud.xyz_um[:, :2]
-    return CloudScore(
-        gauge_residual(cloud.xyz_um[:, 2], true, gauge, xy_um, "absolute"),
-        depth_errors(cloud.xyz_um[:, 2], true, gauge, xy_um),
-    )
+    heights = cloud.xyz_um[:, 2]
+    errors = gauge_residual(heights, true, gauge, xy_um, "absolute")
+    offset = float(np.nanmedian(heights - true - errors))
+    return CloudScore(errors, offset, depth_errors(heights, true, gauge, xy_um))
 
 
 def commonly_visible(truth: GroundTruth, view: int, others: Sequence[int], step: int = 1) -> Mask:

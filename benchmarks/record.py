@@ -21,7 +21,7 @@ METRICS = {"rmse_um": "RMSE after ICP, um", "rre_deg": "RRE, degrees", "depth_me
 
 
 def record_study(path: Path, name: str, series: TiltSeries, rows: Sequence[Row], truth: SurfaceMesh | None) -> None:
-    """Write one recording: images over the tilt, true mesh, clouds and registrations over the runs, metrics as series.
+    """Write one recording: images, true mesh, clouds and registrations over the runs, metrics as series.
 
     Parameters
     ----------
@@ -32,11 +32,12 @@ def record_study(path: Path, name: str, series: TiltSeries, rows: Sequence[Row],
 
     path.parent.mkdir(parents=True, exist_ok=True)
     with rr.RecordingStream("sem-bench", recording_id=f"paper-{name}") as stream:
-        stream.save(path, default_blueprint=_blueprint(contenders_of(rows, "rmse_um"), rows))
+        stream.save(path, default_blueprint=_blueprint(contenders_of(rows, "rmse_um"), rows, series))
         stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         if truth is not None:
             _log_truth(stream, truth)
         _log_images(stream, series)
+        _log_styles(stream, contenders_of(rows))
         for row in rows:
             stream.set_time("run", sequence=row.repetition + 1)
             _log_row(stream, row)
@@ -66,11 +67,16 @@ def _log_truth(stream: rr.RecordingStream, truth: SurfaceMesh) -> None:
 def _log_images(stream: rr.RecordingStream, series: TiltSeries) -> None:
     import rerun as rr
 
-    for view in series.views:
-        stream.set_time("tilt_deg", duration=float(view.tilt_deg))
-        stream.log("images/view", rr.Image(_grey8(view.image)).compress(jpeg_quality=90))
-        stream.log("images/tilt", rr.TextLog(f"{view.name}: {view.tilt_deg:g} degrees"))
-    stream.reset_time()
+    for number, view in enumerate(series.views):
+        stream.log(f"images/{number:02d}", rr.Image(_grey8(view.image)).compress(jpeg_quality=90), static=True)
+
+
+def _log_styles(stream: rr.RecordingStream, contenders: Sequence[str]) -> None:
+    import rerun as rr
+
+    for metric in METRICS:
+        for name in contenders:
+            stream.log(f"metrics/{metric}/{name}", rr.SeriesLines(colors=_rgb(name), names=name, widths=2), static=True)
 
 
 def _log_row(stream: rr.RecordingStream, row: Row) -> None:
@@ -83,39 +89,48 @@ def _log_row(stream: rr.RecordingStream, row: Row) -> None:
     for number in range(int(row.metrics.get("clouds", 0))):
         cloud, frame = row.arrays[f"cloud_{number}"], row.arrays[f"frame_{number}"]
         colours = error_colours(row.arrays.get(f"error_{number}", cloud[:, 2] - np.median(cloud[:, 2])))
-        stream.log(f"world/{row.contender}/cloud_{number}", rr.Points3D(cloud @ frame, colors=colours, radii=0.25))
-    stream.log(f"world/{row.contender}/registered", _registered(row))
+        aligned = (cloud - [0, 0, row.arrays.get(f"offset_{number}", 0.0)]) @ frame
+        stream.log(f"world/{row.contender}/cloud_{number}", rr.Points3D(aligned, colors=colours, radii=0.4))
+    if "merged" in row.arrays:
+        merged = (row.arrays["merged"] - [0, 0, row.arrays.get("offset_0", 0.0)]) @ row.arrays.get("frame_0", np.eye(3))
+        stream.log(f"world/{row.contender}/registered", rr.Points3D(merged, colors=_rgb(row.contender), radii=0.3))
 
 
-def _registered(row: Row) -> Any:
-    import rerun as rr
-
-    points = row.arrays.get("merged", np.zeros((0, 3), dtype=np.float32))
-    frame = row.arrays.get("frame_0", np.eye(3))
-    return rr.Points3D(points @ frame, colors=_rgb(row.contender), radii=0.2)
-
-
-def _blueprint(contenders: Sequence[str], rows: Sequence[Row]) -> Any:
+def _blueprint(contenders: Sequence[str], rows: Sequence[Row], series: TiltSeries) -> Any:
     import rerun.blueprint as rrb
 
+    eye = _eye(series)
     clouds = [
-        rrb.Spatial3DView(origin="world", contents=["world/truth", f"world/{name}/cloud_0"], name=f"{name}: error")
+        rrb.Spatial3DView(
+            origin="world", contents=["world/truth", f"world/{name}/cloud_0"], name=f"{name}: error", eye_controls=eye
+        )
         for name in contenders
     ]
-    registered = rrb.Spatial3DView(
-        origin="world", contents=[f"world/{name}/registered" for name in contenders], name="registered clouds"
-    )
+    together = [f"world/{name}/registered" for name in contenders]
+    registered = rrb.Spatial3DView(origin="world", contents=together, name="registered clouds", eye_controls=eye)
+    images = [
+        rrb.Spatial2DView(origin=f"images/{number:02d}", name=f"{view.tilt_deg:g}°")
+        for number, view in enumerate(series.views)
+    ]
     plotted = [metric for metric in METRICS if any(np.isfinite(row.metrics.get(metric, np.nan)) for row in rows)]
     plots = [rrb.TimeSeriesView(origin=f"metrics/{metric}", name=METRICS[metric]) for metric in plotted]
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Tabs(*clouds, registered),
-            rrb.Vertical(rrb.Spatial2DView(origin="images", contents=["images/view"], name="micrographs"), *plots),
+            rrb.Vertical(rrb.Tabs(*images, name="micrographs"), *plots),
             column_shares=[3, 2],
         ),
         rrb.TimePanel(timeline="run", state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
+
+
+def _eye(series: TiltSeries) -> Any:
+    """Look down at the field of view from the front, from as far away as it is wide."""
+    import rerun.blueprint as rrb
+
+    width_um = series.optics.width_px * series.optics.pixel_size_um
+    return rrb.EyeControls3D(position=(0.0, -0.7 * width_um, 0.9 * width_um), look_target=(0.0, 0.0, 0.0))
 
 
 def _vertex_normals(mesh: SurfaceMesh) -> Array:

@@ -103,7 +103,8 @@ def _against_truth(
         for cloud, found in zip(clouds, matches, strict=True)
     ]
     errors = {f"error_{k}": score.errors_um.astype(np.float32) for k, score in enumerate(scores)}
-    return _depth_metrics([score.summary for score in scores], maps), errors
+    offsets = {f"offset_{k}": np.array(score.offset_um) for k, score in enumerate(scores)}
+    return _depth_metrics([score.summary for score in scores], maps), errors | offsets
 
 
 def _depth_metrics(points: Sequence[DepthErrors], maps: Sequence[DepthErrors]) -> dict[str, float]:

@@ -93,5 +93,8 @@ def _pyrender() -> ModuleType:
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        import pyrender
+        try:
+            import pyrender
+        except ImportError as error:
+            raise InputError(f"backend pyrender finds no OpenGL here ({error}); install EGL or use raycast") from error
     return pyrender  # type: ignore[no-any-return]
