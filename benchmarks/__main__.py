@@ -103,11 +103,11 @@ def _real_series(
 
 
 def _real_notes(series: TiltSeries) -> list[str]:
-    tilts = ", ".join(f"{tilt:g}" for tilt in series.tilts_deg)
+    tilts = ", ".join(f"{tilt + 0.0:g}" for tilt in series.tilts_deg)
     return [
         f"Real micrographs, taken to be tilted by {tilts} degrees, with {series.optics.pixel_size_um:.5g} um a pixel.",
         "Truth is absent: there is no depth error below. The images are the same in all runs; only the random choices "
-        "of the robust estimate differ.",
+        "of the robust estimate could make them differ.",
     ]
 
 

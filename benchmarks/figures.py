@@ -38,7 +38,7 @@ def draw_reconstruction(path: Path, image: Image, points_um: Array, mesh: Surfac
     left.set_title("(A) SEM image, first view")
     limits = np.percentile(points_um[:, 2], [1, 99])
     cloud = middle.scatter(*points_um.T, c=points_um[:, 2], s=4, vmin=limits[0], vmax=limits[1], linewidths=0)
-    figure.colorbar(cloud, ax=middle, shrink=0.6, label="z (um)")
+    figure.colorbar(cloud, ax=middle, shrink=0.6, pad=0.12, label="z (um)")
     middle.set_title(f"(B) point cloud, {len(points_um)} points")
     x, y, z = mesh.vertices_um.T
     right.plot_trisurf(x, y, z, triangles=mesh.faces, cmap="viridis", linewidth=0, vmin=limits[0], vmax=limits[1])

@@ -13,6 +13,8 @@ from benchmarks.tables import PUBLISHED, Reduction, reduction, reductions_table,
 PROPOSED, CONTROL, CORRECTED = "proposed", "disparity_printed", "disparity_boyde"
 SAME_PERCENT = 2.0
 """Means closer than this are called the same."""
+NO_SPREAD = 1e-9
+"""A standard deviation below this, in um and degrees, is rounding."""
 
 
 def summary(rows_by_scene: Mapping[str, Sequence[Row]], notes: Sequence[str], seconds: float) -> str:
@@ -21,6 +23,10 @@ def summary(rows_by_scene: Mapping[str, Sequence[Row]], notes: Sequence[str], se
     for scene, rows in rows_by_scene.items():
         parts += [f"## {scene}", "Means over the runs ± standard deviation (the seed's Table 2):", table2(rows)]
         parts += ["Reductions of the means, with 95 % intervals over paired runs:", reductions_table(rows, scene)]
+        if _has_truth(rows):
+            parts.append(
+                "Depth errors are those at the contender's own points; the map is judged wherever both views see."
+            )
         parts += ["What this says:", "\n".join(f"- {sentence}" for sentence in verdicts(rows, scene)), _failures(rows)]
     parts.append(f"Measured in {seconds / 60:.1f} minutes, less what an earlier run had on record.")
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -73,6 +79,11 @@ def _stability(rows: Sequence[Row]) -> str:
             spread[name, metric] = float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
     if any(np.isnan(value) for value in spread.values()):
         return ""
+    if max(spread.values()) < NO_SPREAD:
+        return (
+            "The runs do not differ: the images are the same, and whatever the random choices of the robust estimate, "
+            "it ends with the same matches. The spread that the seed reports for its control is not in the data."
+        )
     return (
         f"Standard deviation over the runs: RMSE {spread[PROPOSED, 'rmse_um']:.2g} um against "
         f"{spread[CONTROL, 'rmse_um']:.2g} um for the printed control, RRE {spread[PROPOSED, 'rre_deg']:.2g} against "

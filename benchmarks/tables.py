@@ -116,7 +116,8 @@ def _tenths(value: float) -> str:
 def _mean_and_spread(values: Array) -> str:
     if not len(values):
         return "-"
-    spread = f" ± {np.std(values, ddof=1):.2g}" if len(values) > 1 else ""
+    deviation = round(float(np.std(values, ddof=1)), 9) if len(values) > 1 else float("nan")
+    spread = "" if np.isnan(deviation) else f" ± {deviation:.2g}"
     return f"{values.mean():.4g}{spread}"
 
 

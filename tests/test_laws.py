@@ -92,6 +92,8 @@ def is_named_by_a_noun(path: str, source: str) -> list[str]:
 
 
 def explains_what_is_public(path: str, source: str) -> list[str]:
+    if "/test_" in path:  # the name of a test is its claim
+        return []
     module = ast.parse(source)
     named = [node for node in module.body if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name[0] != "_"]
     return [getattr(node, "name", "the file") for node in [module, *named] if ast.get_docstring(node) is None]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -89,3 +91,11 @@ def test_published_figures_stand_beside_ours() -> None:
     found = rows(**{each.name: {"rmse_um": 1.0, "rre_deg": 1.0} for each in CONTENDERS})
     assert "| published, than its control | 44 % | 88 % |" in reductions_table(found, "pollen")
     assert "published" not in reductions_table(found, "other")
+
+
+def test_rounding_is_not_called_spread() -> None:
+    same = [
+        replace(row, metrics={"rmse_um": 0.1 + 0.2, "rre_deg": 1.0}) for row in rows(proposed={}, disparity_printed={})
+    ]
+    assert "The runs do not differ" in " ".join(verdicts(same, "grain"))
+    assert "± 0 |" in table2([replace(row, metrics={**row.metrics, "points": 9.0}) for row in same])
