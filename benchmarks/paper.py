@@ -17,7 +17,7 @@ from benchmarks.summary import PROPOSED, summary
 from benchmarks.tables import write_csv
 from semrecon.data import SurfaceMesh
 from semrecon.errors import InputError
-from semrecon.meshing import mesh_from_points
+from semrecon.meshing import mesh_from_points, statistical_outliers
 
 LEDGER = "ledger.sqlite"
 Report = Callable[[str, int, int], None]
@@ -89,16 +89,17 @@ def _show_source(source: Source, rows: Sequence[Row], out: Path, number: int, so
         points = first[PROPOSED].arrays["merged"].astype(float) @ first[PROPOSED].arrays["frame_0"]
         title = f"{name}: proposed method, first run"
         picture = out / f"fig{7 + number:02d}_{name}_reconstruction.png"
-        draw_reconstruction(picture, series.views[0].image, points, mesh_from_points(points), title)
-    mesh = None
+        mesh = mesh_from_points(points[~statistical_outliers(points)])
+        draw_reconstruction(picture, series.views[0].image, points, mesh, title)
+    surface = None
     if truth is not None:
-        mesh = SurfaceMesh(truth.mesh.vertices_um, truth.mesh.faces.astype("int64"))
+        surface = SurfaceMesh(truth.mesh.vertices_um, truth.mesh.faces.astype("int64"))
         judged = [name for name in contenders_of(answered) if "error_0" in first[name].arrays]
         clouds = {name: (first[name].arrays["xy_0"], first[name].arrays["error_0"]) for name in judged}
         draw_depth_error(
             out / f"{name}_depth_error.png", series.views[0].image, clouds, f"{name}: first pair, first run"
         )
-    record_study(out / f"{name}.rrd", name, series, answered, mesh)
+    record_study(out / f"{name}.rrd", name, series, answered, surface)
 
 
 def check_results_folder(out: Path) -> None:

@@ -24,7 +24,7 @@ def complete(estimate: Estimate, series: TiltSeries) -> tuple[PointCloud, Height
     MethodError
         There is neither a point nor a height to start from.
     """
-    from semrecon.meshing import height_map_from_points, mesh_from_heights, mesh_from_points
+    from semrecon.meshing import height_map_from_points, mesh_from_heights, mesh_from_points, without_outliers
 
     pose = estimate.poses or nominal_poses(series)
     rotation, translation = pose.rotations[series.reference], pose.translations_um[series.reference]
@@ -36,7 +36,7 @@ def complete(estimate: Estimate, series: TiltSeries) -> tuple[PointCloud, Height
     if points is None:
         points = points_from_heights(heights, series, rotation, translation)
     if is_sparse(points, heights):
-        return points, heights, mesh_from_points(points, rotation)
+        return points, heights, mesh_from_points(without_outliers(points, rotation), rotation)
     step = max(1, math.ceil(math.sqrt(heights.z_um.size / MOST_VERTICES)))
     k = series.optics.inverse_working_distance
     return points, heights, mesh_from_heights(heights, rotation, translation, k, step)

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from semrecon.data import Array, HeightMap, Mask, Optics, PointCloud, SurfaceMesh
 from semrecon.errors import InputError
-from semrecon.geometry import CAM_FROM_VIEW, back_project, project
+from semrecon.geometry import CAM_FROM_VIEW, back_project, project, view_from_world
 from semrecon.triangles import DEFAULT_LIMITS, Faces, TriangleLimits, fill_triangles, triangulate
 
 
@@ -148,6 +148,19 @@ def statistical_outliers(xyz_um: Array, neighbours: int = 12, threshold: float =
     deviation = np.median(np.abs(around - median[:, None]), axis=1)
     floor = 0.1 * np.median(deviation)  # a chance agreement of the neighbours must not condemn a good point
     return np.asarray(np.abs(xyz_um[:, 2] - median) > threshold * np.maximum(deviation, floor))
+
+
+def without_outliers(points: PointCloud, rotation: Array = CAM_FROM_VIEW) -> PointCloud:
+    """Leave out the points that stand out against their neighbours, as a view sees them: one would bend all round it.
+
+    Parameters
+    ----------
+    points
+        Cloud, finite.
+    rotation
+        R_cam_from_world of the view, (3, 3).
+    """
+    return points.keep(~statistical_outliers(points.xyz_um @ view_from_world(rotation).T))
 
 
 def _without_self(index: NDArray[np.int64]) -> NDArray[np.int64]:

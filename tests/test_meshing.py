@@ -10,7 +10,13 @@ from hypothesis import strategies as st
 from semrecon.data import HeightMap, Optics, PointCloud
 from semrecon.errors import InputError
 from semrecon.geometry import CAM_FROM_VIEW, back_project, rotations_from_tilts, tilt_rotation
-from semrecon.meshing import height_map_from_points, mesh_from_heights, mesh_from_points, statistical_outliers
+from semrecon.meshing import (
+    height_map_from_points,
+    mesh_from_heights,
+    mesh_from_points,
+    statistical_outliers,
+    without_outliers,
+)
 from semrecon.triangles import TriangleLimits, fill_triangles, triangulate
 
 OPTICS = Optics(0.5, 48, 40)
@@ -287,6 +293,19 @@ def test_outliers_do_not_depend_on_the_order_of_points_nor_on_points_at_one_plac
     stacked = np.zeros((40, 3))
     stacked[0, 2] = 1.0
     assert statistical_outliers(stacked).tolist() == [True] + [False] * 39
+
+
+def test_outliers_are_left_out_as_the_view_sees_them():
+    """A point off a plane that leans by 40 degrees goes, and the plane stays: its own view sees it flat."""
+    rng = np.random.default_rng(5)
+    flat = np.column_stack([rng.uniform(-10, 10, (400, 2)), rng.uniform(-0.01, 0.01, 400)])
+    flat[7, 2] += 3.0
+    rotation = CAM_FROM_VIEW @ tilt_rotation(40.0)
+    world = flat @ (CAM_FROM_VIEW @ rotation)
+    kept = without_outliers(PointCloud(world, np.zeros((400, 3, 3)), np.zeros(400), flat[:, :2]), rotation)
+    assert 0.95 * 400 < len(kept) < 400
+    assert not (kept.xyz_um == world[7]).all(axis=1).any()
+    np.testing.assert_array_equal(kept.xyz_um, world[~statistical_outliers(flat)])
 
 
 def test_few_points_have_no_outliers():

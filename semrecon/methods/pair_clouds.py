@@ -12,7 +12,7 @@ from semrecon.correspondence import PairMatches, pair_geometry, view_name
 from semrecon.data import Array, HeightMap, Mask, PointCloud, TiltSeries
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import centred_um, rotations_from_tilts, view_from_world
-from semrecon.meshing import height_map_from_points, statistical_outliers
+from semrecon.meshing import height_map_from_points, without_outliers
 from semrecon.registration import SequenceRegistration, register_sequence
 
 SLOPE_PX = 1.0
@@ -85,8 +85,7 @@ def heights_of(series: TiltSeries, points: PointCloud, translation_um: Array | N
         Where the points span no surface.
     """
     rotation = rotations_from_tilts(series.tilts_deg, series.tilt_axis_deg)[series.reference]
-    sound = ~statistical_outliers(points.xyz_um @ view_from_world(rotation).T)
-    points = points.keep(np.asarray(sound))
+    points = without_outliers(points, rotation)
     try:
         return height_map_from_points(points, series.optics, rotation, translation_um)
     except InputError as error:
