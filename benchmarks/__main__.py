@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -51,6 +49,7 @@ def paper(
 
     try:
         from benchmarks.paper import check_results_folder, run_paper
+        from benchmarks.runner import process_pool
         from benchmarks.scenes import RealSource, paper_scenes
 
         check_results_folder(out)
@@ -61,8 +60,7 @@ def paper(
         if series is not None:
             real = _real_series(series, true_tilt_step, pixel_size_um, tilt_axis_deg)
             sources, notes = [RealSource(series.resolve().name, real)], _real_notes(real)
-        context = multiprocessing.get_context("spawn")
-        with _progress() as report, ProcessPoolExecutor(workers, mp_context=context) as executor:
+        with _progress() as report, process_pool(workers) as executor:
             text = run_paper(sources, out, runs or (3 if quick else 20), executor, notes, report)
     except (ReconError, SimError, MethodError) as error:
         typer.echo(f"Error: {error}", err=True)

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -99,3 +100,39 @@ def test_seeds_depend_on_scene_and_repetition_only() -> None:
 def test_a_key_changes_with_every_part() -> None:
     keys = {digest("a", 1), digest("a", 2), digest("b", 1), digest("a", "1"), digest("a")}
     assert len(keys) == 5
+
+
+POOL = """
+import os, sys, time
+from benchmarks.runner import process_pool
+
+if __name__ == "__main__":
+    with process_pool(2) as executor:
+        print(executor.submit(os.getpid).result(), flush=True)
+        time.sleep(600)
+"""
+
+
+def test_workers_end_with_a_killed_parent(tmp_path: Path) -> None:
+    script = tmp_path / "pool.py"
+    script.write_text(POOL)
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)}
+    process = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True, env=environment)
+    assert process.stdout is not None
+    worker = int(process.stdout.readline())
+    os.kill(worker, 0)  # raises if it does not live
+    process.kill()
+    process.wait()
+    process.stdout.close()
+    for _ in range(100):
+        if not _lives(worker):
+            return
+        time.sleep(0.1)
+    pytest.fail(f"worker {worker} outlived its parent by 10 seconds")
+
+
+def _lives(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().split(")")[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
