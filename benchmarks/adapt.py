@@ -14,9 +14,9 @@ def series_from_capture(capture: Capture, tilt_errors_deg: tuple[float, ...] = (
     Parameters
     ----------
     capture
-        What `semsim.simulate` returned.
+        What `semsim.simulate` returned. The errors of its stage, column and scan are in the images alone.
     tilt_errors_deg
-        Nominal minus true tilt of every view; empty is an exact stage.
+        Added to the tilts that the stage stated; empty is none.
     """
     microscope, schedule = capture.scene.microscope, capture.scene.schedule
     errors = np.zeros(len(capture.images)) if not tilt_errors_deg else np.asarray(tilt_errors_deg, dtype=np.float64)
@@ -28,8 +28,9 @@ def series_from_capture(capture: Capture, tilt_errors_deg: tuple[float, ...] = (
         microscope.height_px,
         0.0 if distance is None else 1.0 / distance,
     )
+    others = capture.channels or ({},) * len(capture.images)
     views = tuple(
-        View(image, float(tilt), f"view_{i:02d}")
-        for i, (image, tilt) in enumerate(zip(capture.images, tilts, strict=True))
+        View(image, float(tilt), f"view_{i:02d}", channels=dict(channels))
+        for i, (image, tilt, channels) in enumerate(zip(capture.images, tilts, others, strict=True))
     )
     return TiltSeries(views, optics, schedule.tilt_axis_deg)

@@ -18,7 +18,7 @@ from benchmarks.evaluate import commonly_visible
 from benchmarks.runner import code_version, digest, seed_of
 from semrecon.data import Array, Mask, TiltSeries
 from semrecon.geometry import tilt_rotation
-from semsim.capture import Capture, Surfaces, expose, prepare
+from semsim.capture import Surfaces, expose, prepare
 from semsim.scene import Scene, scaled, scene, tables
 from semsim.truth import GroundTruth
 
@@ -82,9 +82,7 @@ class SimulatedSource:
 
     def series(self, repetition: int) -> TiltSeries:
         """Expose the prepared surfaces with the noise of this repetition."""
-        surfaces = self._surfaces()
-        images = expose(surfaces, np.random.default_rng(seed_of(self.name, repetition)))
-        return series_from_capture(Capture(images, self.scene, surfaces.truth))
+        return series_from_capture(expose(self._surfaces(), np.random.default_rng(seed_of(self.name, repetition))))
 
     def truth(self) -> GroundTruth:
         """Truth of the scene."""

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -15,9 +19,19 @@ from semrecon.geometry import tilt_rotation
 from semrecon.icp import icp
 from semrecon.open3d_icp import icp_open3d
 from semrecon.translation import solve_closed_form, solve_generalised_inverse
+from semsim.capture import simulate
+from semsim.charging import ChargingOptions
+from semsim.detector import DetectorOptions
+from semsim.imperfections import StageErrors, ViewErrors
 from semsim.mesh import Mesh
-from semsim.microscope import Microscope, TiltSchedule, poses
+from semsim.microscope import Microscope, TiltSchedule, camera_from_world, pixel_grid, pixel_rays, poses
+from semsim.raster import draw
+from semsim.raycast import search_tree, tensor
+from semsim.scan import ScanOptions
+from semsim.scene import Scene
+from semsim.spot import SpotOptions
 from semsim.surface import Backend, surface_buffer
+from semsim.zbuffer import rasterise
 
 STEP = tilt_rotation(3.0)
 
@@ -54,14 +68,126 @@ def test_icp(benchmark: BenchmarkFixture, register: Callable[..., Any]) -> None:
     assert np.linalg.norm(found.rotation - STEP.T) < 0.1
 
 
-@pytest.mark.benchmark(group="surface buffer of 320 k faces at 854 x 640")
-@pytest.mark.parametrize("backend", ["raycast", "pyrender"])
-def test_surface_buffer(benchmark: BenchmarkFixture, backend: Backend) -> None:
+SHARP = Microscope(5 / 102, 2560, 1920)
+USUAL = Microscope(5 / 34, 854, 640)
+TILTED = poses(TiltSchedule((3.0,)))[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Ready:
+    """A specimen that is there already, so that its making is not timed."""
+
+    name: ClassVar[str] = "ready"
+    mesh: Mesh
+
+    def __call__(self, rng: np.random.Generator) -> Mesh:  # noqa: ARG002 - nothing is left to chance
+        return self.mesh
+
+
+@pytest.fixture(scope="module")
+def ball() -> Mesh:
+    """327 680 faces that fill half the frame, normals and search tree at hand."""
     import trimesh
 
-    ball = trimesh.creation.icosphere(subdivisions=7, radius=45.0)
-    mesh = Mesh(np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int32))
-    pose = poses(TiltSchedule((3.0,)))[0]
-    microscope = Microscope(5 / 34, 854, 640)
-    buffer = benchmark.pedantic(surface_buffer, args=(mesh, microscope, pose, backend), rounds=2)  # type: ignore[no-untyped-call]
-    assert 0.5 < 1 - buffer.miss.mean() < 0.6
+    shape = trimesh.creation.icosphere(subdivisions=7, radius=45.0)
+    mesh = Mesh(np.asarray(shape.vertices), np.asarray(shape.faces, dtype=np.int32))
+    for backend in ("zbuffer", "raycast"):
+        surface_buffer(mesh, Microscope(5.0, 32, 24), TILTED, backend)
+    return mesh
+
+
+def half_is_hit(miss: NDArray[Any]) -> bool:
+    """The disc of the ball, pi 45^2 um^2, and the rest of the frame."""
+    frame = SHARP.width_px * SHARP.height_px * SHARP.pixel_size_um**2
+    return bool(abs((1 - miss.mean()) - np.pi * 45.0**2 / frame) < 1e-3)
+
+
+@pytest.mark.benchmark(group="surface buffer of 328 k faces at 2560 x 1920: depth, triangle, position and normal")
+@pytest.mark.parametrize("backend", ["zbuffer", "raycast", "pyrender"])
+def test_surface_buffer(benchmark: BenchmarkFixture, ball: Mesh, backend: Backend) -> None:
+    buffer = benchmark.pedantic(surface_buffer, args=(ball, SHARP, TILTED, backend), rounds=3, warmup_rounds=1)  # type: ignore[no-untyped-call]
+    assert half_is_hit(buffer.miss)
+
+
+@pytest.mark.benchmark(group="first surface of 328 k faces at 2560 x 1920: the search alone")
+@pytest.mark.parametrize("peer", ["zbuffer", "Open3D", "pyrender"])
+def test_search_for_the_first_surface(benchmark: BenchmarkFixture, ball: Mesh, peer: str) -> None:
+    """What each peer takes by itself, its input made ready: depth and triangle; pyrender has depth only."""
+    search = {"zbuffer": drawn_by_us, "Open3D": cast_by_open3d, "pyrender": drawn_by_pyrender}[peer](ball)
+    depth = benchmark.pedantic(search, rounds=5, warmup_rounds=1)  # type: ignore[no-untyped-call]
+    assert half_is_hit(~np.isfinite(depth))
+
+
+def drawn_by_us(mesh: Mesh) -> Callable[[], NDArray[Any]]:
+    return lambda: rasterise(mesh, SHARP, TILTED)[0]
+
+
+def cast_by_open3d(mesh: Mesh) -> Callable[[], NDArray[Any]]:
+    origins, directions = pixel_rays(SHARP, TILTED, pixel_grid(SHARP))
+    rays = tensor(np.concatenate([origins - 100.0 * directions, directions], axis=-1), np.float32)
+    cast = search_tree(mesh).cast_rays
+    return lambda: np.asarray(cast(rays)["t_hit"].numpy())
+
+
+def drawn_by_pyrender(mesh: Mesh) -> Callable[[], NDArray[Any]]:
+    camera = camera_from_world(TILTED, mesh.vertices_um) + [0.0, 0.0, 150.0]
+    return lambda: draw(mesh, SHARP, camera, near=50.0, far=250.0)
+
+
+def everything_on(mesh: Mesh, microscope: Microscope) -> Scene:
+    """One view with every effect switched on, save perspective and a second detector."""
+    return Scene(
+        "everything",
+        Ready(mesh),
+        microscope,
+        TiltSchedule((3.0,)),
+        spot=SpotOptions(sigma_px=0.8, astigmatism=0.2, astigmatism_angle_deg=30.0, convergence_mrad=5.0),
+        charging=ChargingOptions(strength=0.3),
+        detector=DetectorOptions(read_noise_e=2.0, frames=2),
+        stage_errors=StageErrors(tilt_sigma_deg=0.1, shift_sigma_um=0.5),
+        view_errors=ViewErrors(magnification_sigma=1e-3, rotation_sigma_deg=0.2, skew_sigma=1e-3),
+        scan=ScanOptions(
+            drift_px=(1.0, 2.0), wander_px=0.5, vibration_px=(0.2, 0.1), line_jitter_px=0.1, flyback_px=0.5
+        ),
+    )
+
+
+def on_the_grid(mesh: Mesh, microscope: Microscope) -> Scene:
+    """The same with a steady beam."""
+    return replace(everything_on(mesh, microscope), scan=ScanOptions())
+
+
+@pytest.mark.benchmark(group="micrograph of 328 k faces at 854 x 640, all effects on")
+@pytest.mark.parametrize("scene", [on_the_grid, everything_on], ids=["steady beam", "scan errors"])
+def test_micrograph(benchmark: BenchmarkFixture, ball: Mesh, scene: Callable[..., Scene]) -> None:
+    captured = benchmark.pedantic(simulate, args=(scene(ball, USUAL), 0), rounds=3, warmup_rounds=1)  # type: ignore[no-untyped-call]
+    assert np.ptp(captured.images[0]) > 100
+
+
+MEASURED_ALONE = """
+import re, sys
+from pathlib import Path
+import numpy as np
+from benchmarks.test_speed import SHARP, Mesh, everything_on, simulate
+stored = np.load(sys.argv[1])
+mesh = Mesh(stored["vertices"], stored["faces"])
+peak = lambda: re.search(r"VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1]
+before = peak()
+simulate(everything_on(mesh, SHARP), 0)
+print(before, peak())
+"""
+
+
+@pytest.mark.benchmark(group="memory of a micrograph at 2560 x 1920")
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="needs the peak that Linux keeps for each process")
+def test_memory(benchmark: BenchmarkFixture, ball: Mesh, tmp_path: Path) -> None:
+    """Peak of a process of its own; beside it what Python, the libraries and the mesh had taken before.
+
+    The kernel's own figure: that of `getrusage` is handed down from the process that started this one.
+    """
+    np.savez(tmp_path / "ball.npz", vertices=ball.vertices_um, faces=ball.faces)
+    command = [sys.executable, "-c", MEASURED_ALONE, str(tmp_path / "ball.npz")]
+    done = benchmark.pedantic(subprocess.run, args=(command,), kwargs={"capture_output": True, "check": True})  # type: ignore[no-untyped-call]
+    before, peak = (int(kib) / 2**20 for kib in done.stdout.split())
+    benchmark.extra_info |= {"before_gib": round(before, 3), "peak_gib": round(peak, 3)}
+    assert peak < 2.0

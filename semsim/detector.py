@@ -1,4 +1,4 @@
-"""From the rate of electrons to a digital picture: spot, counting noise, amplifier, bits."""
+"""From the rate of electrons to a digital picture: dose, counting noise, amplifier, bits."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from semsim.errors import InputError
 from semsim.mesh import Array
 
+ELEMENTARY_CHARGE_C = 1.602176634e-19
 Image = NDArray[np.unsignedinteger[Any]]
 LOWEST, HIGHEST = 0.001, 0.99
 """Quantiles of the noise-free picture that auto contrast keeps within the range, with 2 sigma of noise beyond them."""
@@ -19,33 +20,41 @@ LOWEST, HIGHEST = 0.001, 0.99
 
 @dataclass(frozen=True)
 class DetectorOptions:
-    """Beam dose, spot, and what the electronics do.
+    """Dose, and what detector and electronics do with it.
 
     Parameters
     ----------
     dose_e
-        Electrons detected in a pixel of relative rate 1.
-    spot_sigma_px
-        Standard deviation of the Gaussian beam spot; 0 is a needle.
+        Electrons that leave a pixel of relative rate 1 in one frame.
+    beam_current_pa, dwell_us
+        The same stated as current times time, pA and us, where a surface of relative rate 1 gives one electron for
+        each that comes; both or neither, and then without `dose_e`.
+    frames
+        Frames that are added up.
+    dqe
+        Detective quantum efficiency: the share of the electrons that the detector counts; 1 is all.
     read_noise_e
-        Standard deviation of the amplifier's noise, in electrons; 0 is none.
+        Standard deviation of the amplifier's noise in one frame, in counted electrons; 0 is none.
     bits
         8 or 16.
     contrast
         "series": one brightness and contrast for all views; "view": the operator adjusts each.
     gain_per_e
-        Grey levels an electron; None lets `contrast` choose gain and offset.
+        Grey levels a counted electron; None lets `contrast` choose gain and offset.
     offset_grey
         Grey level of no electron, where `gain_per_e` is given.
 
     Raises
     ------
     InputError
-        A value outside its range.
+        A value outside its range, or a dose stated in part or twice.
     """
 
     dose_e: float = 200.0
-    spot_sigma_px: float = 0.7
+    beam_current_pa: float | None = None
+    dwell_us: float | None = None
+    frames: int = 1
+    dqe: float = 1.0
     read_noise_e: float = 0.0
     bits: int = 8
     contrast: Literal["series", "view"] = "series"
@@ -53,16 +62,36 @@ class DetectorOptions:
     offset_grey: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.dose_e < 1e9:
-            raise InputError(f"detector option dose_e must be a positive number of electrons, not {self.dose_e}")
-        if not (0 <= self.spot_sigma_px < 100 and 0 <= self.read_noise_e < 1e9):
-            raise InputError("detector options spot_sigma_px (below 100) and read_noise_e must not be negative")
+        for name in ("dose_e", "beam_current_pa", "dwell_us", "frames", "gain_per_e"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < 1e9:
+                raise InputError(f"detector option {name} must be a positive number below 1e9, not {value}")
+        if not (0 < self.dqe <= 1 and 0 <= self.read_noise_e < 1e9):
+            raise InputError(f"detector options dqe ({self.dqe}) must lie in (0, 1], read_noise_e not be negative")
         if self.bits not in (8, 16):
             raise InputError(f"detector option bits must be 8 or 16, not {self.bits}")
         if self.contrast not in ("series", "view"):
             raise InputError(f'detector option contrast must be "series" or "view", not {self.contrast!r}')
-        if self.gain_per_e is not None and not 0 < self.gain_per_e < 1e9:
-            raise InputError(f"detector option gain_per_e must be a positive number, not {self.gain_per_e}")
+        self._require_one_dose()
+
+    def _require_one_dose(self) -> None:
+        stated = [self.beam_current_pa is not None, self.dwell_us is not None]
+        if any(stated) and not all(stated):
+            raise InputError("detector options beam_current_pa and dwell_us state the dose together; one is missing")
+        if all(stated) and self.dose_e != DetectorOptions.dose_e:
+            raise InputError("detector options state the dose twice: give dose_e, or beam_current_pa and dwell_us")
+
+    @property
+    def frame_dose_e(self) -> float:
+        """Electrons that leave a pixel of relative rate 1 in one frame, however they are stated."""
+        if self.beam_current_pa is None or self.dwell_us is None:
+            return self.dose_e
+        return incident_electrons(self.beam_current_pa, self.dwell_us)
+
+    @property
+    def summed_read_noise_e(self) -> float:
+        """Standard deviation of the amplifier's noise in the sum of all frames."""
+        return float(self.read_noise_e * np.sqrt(self.frames))
 
     @property
     def white(self) -> int:
@@ -78,29 +107,35 @@ class Contrast:
     offset_grey: float
 
 
-def spot_kernel(sigma_px: float) -> Array:
-    """Sample a Gaussian spot out to five sigma: (2 r + 1,), sum 1, centroid 0."""
-    if sigma_px == 0:
-        return np.ones(1)
-    x = np.arange(np.ceil(5 * sigma_px) + 1)
-    half = np.exp(-0.5 * (x / sigma_px) ** 2)
-    kernel = np.concatenate([half[:0:-1], half])  # mirrored, so that the centroid is 0 to the last bit
-    return np.asarray(kernel / kernel.sum())
+def incident_electrons(beam_current_pa: float, dwell_us: float) -> float:
+    """Electrons of a beam in a time: ``N = I t / e``, 6.24 for 1 pA and 1 us."""
+    return beam_current_pa * dwell_us * 1e-18 / ELEMENTARY_CHARGE_C
 
 
-def blur_by_spot(rate: Array, sigma_px: float) -> Array:
-    """Average a rate (rows, columns) over the spot; the picture continues beyond its border as in a mirror."""
-    if sigma_px == 0:
-        return rate
-    import cv2
+def expected_electrons(rate: Array, options: DetectorOptions) -> Array:
+    """Electrons that are counted on average, all frames together, (rows, columns).
 
-    kernel = spot_kernel(sigma_px)
-    return np.asarray(cv2.sepFilter2D(rate, cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_REFLECT_101))
+    Frames are added up before anything is drawn: a sum of Poisson numbers is Poisson with the sum of the means.
+    Likewise the electrons that an inefficient detector keeps, each with probability `dqe`, are Poisson again.
+
+    Parameters
+    ----------
+    rate
+        (rows, columns) relative rate, after the spot; 1 is a flat sheet that faces the beam.
+    """
+    return np.asarray(options.frame_dose_e * options.frames * options.dqe * rate)
+
+
+def random_children(
+    rng: np.random.Generator, views: int, channels: int = 1
+) -> tuple[tuple[np.random.Generator, ...], ...]:
+    """Give each channel of each view a generator of its own, which does not depend on how many others there are."""
+    return tuple(tuple(view.spawn(channels)) for view in rng.spawn(views))
 
 
 def count_electrons(expected_e: Array, read_noise_e: float, rng: np.random.Generator) -> Array:
-    """Draw the electrons of each pixel: Poisson about `expected_e` (rows, columns), then the amplifier's noise."""
-    counting, reading = rng.spawn(2)
+    """Draw the electrons of each pixel: Poisson about `expected_e` (rows, columns), plus the amplifier's noise."""
+    counting, reading = rng.spawn(2)  # of their own, so that the amplifier's noise leaves the counting as it is
     electrons = counting.poisson(expected_e).astype(np.float64)
     if read_noise_e > 0:
         electrons += reading.normal(0.0, read_noise_e, electrons.shape)
@@ -128,9 +163,15 @@ def digitise(electrons: Array, contrast: Contrast, bits: int) -> Image:
     return np.clip(grey, 0, 2**bits - 1).astype(np.uint8 if bits == 8 else np.uint16)
 
 
+def saturation(image: Image) -> tuple[float, float]:
+    """Share of the pixels that are black and of those that are white, where detail is lost."""
+    return float((image == 0).mean()), float((image == np.iinfo(image.dtype).max).mean())
+
+
 def _auto_contrast(expected_e: Array, options: DetectorOptions) -> Contrast:
     low, high = np.quantile(expected_e, [LOWEST, HIGHEST])
-    black = max(0.0, low - 2 * np.sqrt(low + options.read_noise_e**2))
-    white = high + 2 * np.sqrt(high + options.read_noise_e**2)
+    read = options.summed_read_noise_e
+    black = max(-2 * read, low - 2 * np.hypot(np.sqrt(low), read))  # counts are never below 0, the amplifier's noise is
+    white = high + 2 * np.hypot(np.sqrt(high), read)
     gain = options.white / max(white - black, 1e-9)
     return Contrast(float(gain), float(-gain * black))

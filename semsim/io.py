@@ -7,20 +7,24 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from semsim import __version__
 from semsim.capture import Capture
+from semsim.databar import with_data_bar
 from semsim.errors import InputError
 from semsim.mesh import Mesh
-from semsim.microscope import Pose
+from semsim.microscope import Pose, pixel_grid
 from semsim.scene import load_scene, tables
 from semsim.surface import buffer_from_depth
 from semsim.truth import GroundTruth
 
 OURS = ("series.toml", "view_*.tif", "truth/mesh.ply", "truth/truth.npz", "truth/settings.toml")
 """Everything that a simulated series may hold."""
+POSE = ("rotations", "translations_um", "distortions")
+"""Arrays of truth.npz that make the poses, in the order of the fields of one."""
 
 
 def write_series(capture: Capture, out_dir: str | Path, seed: int | None = None) -> Path:
@@ -80,17 +84,18 @@ def read_truth(series_dir: str | Path) -> GroundTruth:
     microscope = load_scene(truth_dir / "settings.toml").microscope
     mesh = read_ply(truth_dir / "mesh.ply")
     try:
-        with np.load(truth_dir / "truth.npz") as arrays:
-            rotations, translations = arrays["rotations"], arrays["translations_um"]
-            depths, faces = arrays["depth_um"], arrays["face"]
+        with np.load(truth_dir / "truth.npz") as stored:
+            views = tuple(Pose(*pose) for pose in zip(*(stored[name] for name in POSE), strict=True))
+            depths, faces = stored["depth_um"], stored["face"]
+            offsets = tuple(stored["scan_offsets_px"]) if "scan_offsets_px" in stored else ()
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{truth_dir / 'truth.npz'} cannot be read: {error}") from error
-    views = tuple(Pose(*pose) for pose in zip(rotations, translations, strict=True))
+    beams = [pixel_grid(microscope) + offset for offset in offsets] or [None] * len(views)
     buffers = (
-        buffer_from_depth(mesh, microscope, pose, depth, face)
-        for pose, depth, face in zip(views, depths, faces, strict=True)
+        buffer_from_depth(mesh, microscope, pose, depth, face, beam_px=beam)
+        for pose, depth, face, beam in zip(views, depths, faces, beams, strict=True)
     )
-    return GroundTruth(mesh, microscope, views, tuple(buffers))
+    return GroundTruth(mesh, microscope, views, tuple(buffers), offsets)
 
 
 def write_ply(mesh: Mesh, path: Path) -> None:
@@ -124,30 +129,51 @@ def read_ply(path: Path) -> Mesh:
 
 
 def _write_views(capture: Capture, folder: Path) -> None:
-    import tifffile
     import tomli_w
 
     microscope, schedule = capture.scene.microscope, capture.scene.schedule
-    names = [f"view_{i:02d}.tif" for i in range(len(capture.images))]
-    for name, image in zip(names, capture.images, strict=True):
-        tifffile.imwrite(folder / name, image, photometric="minisblack")
+    views = [_write_view(capture, i, folder) for i in range(len(capture.images))]
     series = {"pixel_size_um": microscope.pixel_size_um, "tilt_axis_deg": schedule.tilt_axis_deg}
     if microscope.working_distance_um is not None:
         series["working_distance_um"] = microscope.working_distance_um
-    views = [{"image": name, "tilt_deg": tilt} for name, tilt in zip(names, schedule.tilts_deg, strict=True)]
-    (folder / "series.toml").write_text(tomli_w.dumps({**series, "view": views}), encoding="utf-8")
+    rows = capture.scene.data_bar.height_px
+    note = f"# The lowest {rows} rows of every picture are a data bar: crop them.\n" if rows else ""
+    (folder / "series.toml").write_text(note + tomli_w.dumps({**series, "view": views}), encoding="utf-8")
+
+
+def _write_view(capture: Capture, view: int, folder: Path) -> dict[str, Any]:
+    """Write the pictures of a view; return its table of series.toml, with what the stage stated and no more."""
+    import tifffile
+
+    table: dict[str, Any] = {"image": f"view_{view:02d}.tif", "tilt_deg": capture.scene.schedule.tilts_deg[view]}
+    channels = capture.channels[view] if capture.channels else {}
+    if channels:
+        table["channels"] = {name: f"view_{view:02d}_{name}.tif" for name in channels}
+    pictures = {table["image"]: capture.images[view]}
+    pictures |= {table["channels"][name]: image for name, image in channels.items()}
+    for name, image in pictures.items():
+        scene = capture.scene
+        picture = with_data_bar(image, scene.data_bar, scene.microscope, scene.name)
+        tifffile.imwrite(folder / name, picture, photometric="minisblack")
+    return table
 
 
 def _write_truth(truth: GroundTruth, path: Path) -> None:
-    """Per view: pose, depth (float64: float32 is not the truth), triangle; and who sees what, [i, j, row, column]."""
+    """Per view: pose, distortion, depth (float64: float32 is not the truth), triangle, scan offsets; and who sees what.
+
+    `visibility` is [i, j, row, column]; `scan_offsets_px` is there only where the scan had errors.
+    """
     views = range(len(truth))
+    offsets: dict[str, Any] = {"scan_offsets_px": np.stack(truth.scan_offsets_px)} if truth.scan_offsets_px else {}
     np.savez_compressed(
         path,
         rotations=np.stack([pose.rotation for pose in truth.poses]),
         translations_um=np.stack([pose.translation_um for pose in truth.poses]),
+        distortions=np.stack([pose.distortion for pose in truth.poses]),
         depth_um=np.stack([buffer.depth_um for buffer in truth.buffers]),
         face=np.stack([buffer.face for buffer in truth.buffers]),
         visibility=np.stack([np.stack([truth.visibility(i, j) for j in views]) for i in views]),
+        **offsets,
     )
 
 

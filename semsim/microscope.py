@@ -5,17 +5,19 @@ Frames and signs are those of docs/conventions.md. This is semsim's own projecti
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
 
 from semsim.errors import InputError
+from semsim.imperfections import StageErrors, ViewErrors, draw
 from semsim.mesh import Array
 
 PRINT_WIDTH_UM = 127_000.0
 """Width of the print that a stated magnification refers to where nothing else is said: a 5 inch Polaroid."""
 UM_PER_INCH = 25_400.0
+EXACT_STAGE, EXACT_VIEWS = StageErrors(), ViewErrors()
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,9 @@ class Microscope:
 
 @dataclass(frozen=True)
 class TiltSchedule:
-    """What the stage does: one tilt a view, about one axis, and a shift where it is not eucentric.
+    """What the stage is told to do: one tilt a view, about one axis, and a shift where one is wanted.
+
+    Tilts that are all equal, with shifts that are not, make a translation series; it has parallax in perspective only.
 
     Parameters
     ----------
@@ -112,21 +116,37 @@ class TiltSchedule:
         if not np.isfinite([self.tilt_axis_deg, *np.ravel(self.shifts_um)]).all():
             raise InputError("tilt_axis_deg and shifts_um must be finite numbers")
 
+    @property
+    def reference(self) -> int:
+        """Index of the reference view: the one nearest zero tilt, the first of equals."""
+        return int(np.argmin(np.abs(self.tilts_deg)))
+
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Where the specimen stands in one view: ``X_cam = rotation @ X_world + translation_um``.
+    """Where the specimen stands in one view, and how its picture is bent.
+
+    ``X_cam = rotation @ X_world + translation_um``
 
     Parameters
     ----------
     rotation
         R_cam_from_world, (3, 3).
     translation_um
-        (3,); its z is 0, since tilting leaves the world origin where it was.
+        (3,); its z is 0 unless the tilt axis passes the world origin by.
+    distortion
+        (2, 2) map of image offsets from the centre, from what the projection says to what the column does; the
+        identity by default.
     """
 
     rotation: Array
     translation_um: Array
+    distortion: Array = field(default_factory=lambda: np.eye(2))
+
+    @property
+    def distorted(self) -> bool:
+        """Whether the picture is bent at all."""
+        return not np.array_equal(self.distortion, np.eye(2))
 
     @property
     def view_from_world(self) -> Array:
@@ -134,12 +154,35 @@ class Pose:
         return np.asarray(self.rotation * np.array([[1.0], [-1.0], [-1.0]]))
 
 
-def poses(schedule: TiltSchedule) -> tuple[Pose, ...]:
-    """Pose of every view of a schedule, in its order."""
-    shifts = schedule.shifts_um or ((0.0, 0.0),) * len(schedule.tilts_deg)
+def poses(
+    schedule: TiltSchedule,
+    stage: StageErrors = EXACT_STAGE,
+    views: ViewErrors = EXACT_VIEWS,
+    rng: np.random.Generator | None = None,
+) -> tuple[Pose, ...]:
+    """Work out the true pose of every view of a schedule, in its order; without errors they are the nominal ones.
+
+    Parameters
+    ----------
+    rng
+        For the errors that are drawn; None is a generator seeded with 0.
+
+    Raises
+    ------
+    InputError
+        Errors are stated for another number of views, or lead to a tilt at or beyond 90 degrees.
+    """
+    number = len(schedule.tilts_deg)
+    errors = draw(stage, views, number, np.random.default_rng(0) if rng is None else rng)
+    tilts = np.asarray(schedule.tilts_deg) + errors.tilts_deg
+    if not (np.abs(tilts) < 90).all():
+        raise InputError(f"true tilts must lie between -90 and 90 degrees; stage_errors make them {tilts.tolist()}")
+    shifts = np.array(schedule.shifts_um or ((0.0, 0.0),) * number)
+    shifts += np.where(np.arange(number)[:, None] == schedule.reference, 0.0, errors.shifts_um)
+    rotations = [_camera_rotation(tilt, schedule.tilt_axis_deg + stage.tilt_axis_deg) for tilt in tilts]
     return tuple(
-        Pose(_camera_rotation(tilt, schedule.tilt_axis_deg), np.array([*shift, 0.0]))
-        for tilt, shift in zip(schedule.tilts_deg, shifts, strict=True)
+        Pose(rotation, np.array([*shift, 0.0]) + _swing(rotation, stage.axis_point_um), distortion)
+        for rotation, shift, distortion in zip(rotations, shifts, errors.distortions, strict=True)
     )
 
 
@@ -155,8 +198,8 @@ def pixel_grid(microscope: Microscope) -> Array:
 def pixel_rays(microscope: Microscope, pose: Pose, xy_px: Array) -> tuple[Array, Array]:
     """Rays of the beam through image positions.
 
-    The projection solved for X_cam is ``X_cam_xy = q (1 + k X_cam_z)`` with ``q = (xy - centre) * pixel_size_um``:
-    a line from (q, 0) along (k q, 1).
+    The projection solved for X_cam is ``X_cam_xy = q (1 + k X_cam_z)``, with ``q = (xy - centre) * pixel_size_um``
+    after the distortion is undone: a line from (q, 0) along (k q, 1).
 
     Parameters
     ----------
@@ -169,6 +212,8 @@ def pixel_rays(microscope: Microscope, pose: Pose, xy_px: Array) -> tuple[Array,
         (..., 3) each, world frame; X_cam_z is 0 at the origin and grows by 1 um a unit of direction.
     """
     q = (np.asarray(xy_px, dtype=np.float64) - microscope.centre_px) * microscope.pixel_size_um
+    if pose.distorted:
+        q = q @ np.linalg.inv(pose.distortion).T
     origins = (_with_z(q, 0.0) - pose.translation_um) @ pose.rotation
     if microscope.working_distance_um is None:
         return origins, np.broadcast_to(pose.rotation[2], origins.shape)
@@ -176,7 +221,9 @@ def pixel_rays(microscope: Microscope, pose: Pose, xy_px: Array) -> tuple[Array,
 
 
 def project(microscope: Microscope, pose: Pose, xyz_um: Array) -> Array:
-    """Image positions of world points: ``xy = centre + X_cam_xy / (pixel_size_um (1 + k X_cam_z))``.
+    """Image positions of world points: ``xy = centre + D X_cam_xy / (pixel_size_um (1 + k X_cam_z))``.
+
+    D is the distortion of the view. The scan is not in it: this is where the beam is, not what pixel records it.
 
     Parameters
     ----------
@@ -189,7 +236,8 @@ def project(microscope: Microscope, pose: Pose, xyz_um: Array) -> Array:
     """
     camera = camera_from_world(pose, xyz_um)
     size_um = microscope.pixel_size_um * (1 + microscope.inverse_working_distance * camera[..., 2:])
-    return np.asarray(camera[..., :2] / size_um + microscope.centre_px)
+    offset = camera[..., :2] / size_um
+    return np.asarray((offset @ pose.distortion.T if pose.distorted else offset) + microscope.centre_px)
 
 
 def camera_from_world(pose: Pose, xyz_um: Array) -> Array:
@@ -204,6 +252,12 @@ def _camera_rotation(tilt_deg: float, tilt_axis_deg: float) -> Array:
     about_y = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
     axis_to_y = np.array([[ca, -sa, 0.0], [sa, ca, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(np.diag([1.0, -1.0, -1.0]) @ axis_to_y.T @ about_y @ axis_to_y)
+
+
+def _swing(rotation: Array, axis_point_um: tuple[float, float, float]) -> Array:
+    """Translate (3,), camera frame, so that a point of the tilt axis stays where zero tilt has it."""
+    point = np.asarray(axis_point_um)
+    return np.asarray(np.diag([1.0, -1.0, -1.0]) @ point - rotation @ point)
 
 
 def _with_z(xy: Array, z: float) -> Array:

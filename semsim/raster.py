@@ -39,12 +39,13 @@ def rasterise(mesh: Mesh, microscope: Microscope, pose: Pose) -> tuple[Array, ND
     if microscope.working_distance_um is not None:
         raise InputError("backend pyrender draws parallel projection only; with working_distance_um use raycast")
     camera = camera_from_world(pose, mesh.vertices_um)
+    camera[:, :2] = camera[:, :2] @ pose.distortion.T
     top, bottom = camera[:, 2].min(), camera[:, 2].max()
     reach = 1.01 * max(bottom - top, microscope.pixel_size_um)
     # The eye stands one reach above the top and the far plane two below the eye: there the depth buffer and its
     # perspective linearisation both keep about 1e-7 of the reach.
     eye = top - reach
-    distance = _draw(mesh, microscope, camera - [0.0, 0.0, eye], near=0.99 * reach, far=2.0 * reach)
+    distance = draw(mesh, microscope, camera - [0.0, 0.0, eye], near=0.99 * reach, far=2.0 * reach)
     depth = np.where(np.isnan(distance), np.nan, distance + eye)
     return depth, _nearest_face(mesh, microscope, pose, depth)
 
@@ -59,7 +60,14 @@ def parallel_distance(perspective: Array, near: float, far: float) -> Array:
     return np.asarray(np.where(perspective > 0, near + (ndc + 1) / 2 * (far - near), np.nan))
 
 
-def _draw(mesh: Mesh, microscope: Microscope, camera_um: Array, near: float, far: float) -> Array:
+def draw(mesh: Mesh, microscope: Microscope, camera_um: Array, near: float, far: float) -> Array:
+    """Distance from the eye in the plane z = 0 of the camera, (rows, columns); NaN where nothing is drawn.
+
+    Parameters
+    ----------
+    camera_um
+        (vertices, 3) corners of the mesh, camera frame, between the planes at `near` and `far`.
+    """
     pyrender = _pyrender()
     half = np.array([microscope.width_px, microscope.height_px]) * microscope.pixel_size_um / 2
     primitive = pyrender.Primitive(

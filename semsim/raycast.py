@@ -10,10 +10,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from semsim.bands import in_bands
 from semsim.mesh import Array, Mesh
+from semsim.microscope import Microscope, Pose, pixel_rays
 
 RAYS_AT_ONCE = 1 << 18
 """Bounds the working memory to some tens of megabytes."""
@@ -66,38 +69,100 @@ class RayCaster:
         return Hits(face.reshape(shape), distance.reshape(shape), position.reshape(*shape, 3))
 
     def _cast_band(self, origins: Array, directions: Array) -> tuple[NDArray[np.int32], Array]:
-        face, coarse = self._search(origins, directions)
-        hit = face >= 0
-        distance = np.full(len(face), np.nan)
-        distance[hit] = self._refine(face[hit], origins[hit], directions[hit], coarse[hit])
+        centre, radius = bounding_sphere(self.mesh)
+        rays, distance = np.empty((len(origins), 6), dtype=np.float32), np.empty(len(origins))
+        in_bands(len(rays), lambda i, j: _enter(i, j, origins, directions, centre, radius, rays, distance))
+        answer = search_tree(self.mesh).cast_rays(tensor(rays, np.float32))
+        face = answer["primitive_ids"].numpy().astype(np.int32)  # the "none" of Open3D, 2**32 - 1, becomes -1
+        face[np.isnan(distance)] = -1
+        distance += answer["t_hit"].numpy()
+        mesh = self.mesh.vertices_um, self.mesh.faces
+        in_bands(len(rays), lambda i, j: _refine(i, j, face, origins, directions, *mesh, distance))
         return face, distance
 
-    def _search(self, origins: Array, directions: Array) -> tuple[NDArray[np.int32], Array]:
-        """Triangle and float32 distance. Rays start just outside the bounding sphere, where float32 is finest."""
-        centre, radius = bounding_sphere(self.mesh)
-        squared = np.einsum("ij,ij->i", directions, directions)
-        start = np.einsum("ij,ij->i", centre - origins, directions) / squared - 1.01 * radius / np.sqrt(squared)
-        rays = np.concatenate([origins + start[:, None] * directions - centre, directions], axis=1)
-        usable = np.isfinite(rays).all(axis=1)
-        answer = search_tree(self.mesh).cast_rays(tensor(np.where(usable[:, None], rays, 0.0), np.float32))
-        face = answer["primitive_ids"].numpy().astype(np.int32)  # the "none" of Open3D, 2**32 - 1, becomes -1
-        face[~usable] = -1
-        return face, start + answer["t_hit"].numpy()
 
-    def _refine(self, face: NDArray[np.int32], origins: Array, directions: Array, coarse: Array) -> Array:
-        """Distance to the plane of the triangle, in float64, kept inside the triangle's own range.
+@numba.njit(nogil=True, cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _enter(
+    begin: int,
+    end: int,
+    origins: Array,
+    directions: Array,
+    centre: Array,
+    radius: float,
+    rays: NDArray[np.float32],
+    start: Array,
+) -> None:  # pragma: no cover - compiled
+    """Let rays start just outside the bounding sphere, where float32 is finest; those with NaN come to nothing."""
+    for i in range(begin, end):
+        squared = along = 0.0
+        for k in range(3):
+            squared += directions[i, k] * directions[i, k]
+            along += (centre[k] - origins[i, k]) * directions[i, k]
+        start[i] = along / squared - 1.01 * radius / np.sqrt(squared)
+        if not np.isfinite(start[i]):
+            start[i] = np.nan
+        for k in range(3):
+            usable = start[i] == start[i]
+            rays[i, k] = origins[i, k] + start[i] * directions[i, k] - centre[k] if usable else 0.0
+            rays[i, 3 + k] = directions[i, k] if usable else 0.0
 
-        A point inside a triangle is a convex sum of its corners, so its distance along the ray lies between those
-        of the corners' feet on the ray. Only rays that graze or meet an edge need that bound.
-        """
-        corners = [self.mesh.vertices_um[self.mesh.faces[face, k]] - origins for k in range(3)]
-        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            plane = np.einsum("ij,ij->i", normal, corners[0]) / np.einsum("ij,ij->i", normal, directions)
-        plane = np.where(np.isfinite(plane), plane, coarse)
-        squared = np.einsum("ij,ij->i", directions, directions)
-        feet = np.stack([np.einsum("ij,ij->i", corner, directions) / squared for corner in corners])
-        return np.asarray(np.clip(plane, feet.min(axis=0), feet.max(axis=0)))
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _refine(
+    begin: int,
+    end: int,
+    face: NDArray[np.int32],
+    origins: Array,
+    directions: Array,
+    vertices: Array,
+    faces: NDArray[np.int32],
+    distance: Array,
+) -> None:  # pragma: no cover - compiled
+    """Turn float32 distances into those to the plane of the triangle, in float64, kept inside its own range.
+
+    A point inside a triangle is a convex sum of its corners, so its distance along the ray lies between those of the
+    corners' feet on the ray. Only rays that graze or meet an edge need that bound.
+    """
+    a, b, c, u, v = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(begin, end):
+        f = face[i]
+        if f < 0:
+            distance[i] = np.nan
+            continue
+        squared = foot_a = foot_b = foot_c = above = towards = 0.0
+        for k in range(3):
+            way = directions[i, k]
+            a[k] = vertices[faces[f, 0], k] - origins[i, k]
+            b[k] = vertices[faces[f, 1], k] - origins[i, k]
+            c[k] = vertices[faces[f, 2], k] - origins[i, k]
+            u[k], v[k] = b[k] - a[k], c[k] - a[k]
+            squared += way * way
+            foot_a += a[k] * way
+            foot_b += b[k] * way
+            foot_c += c[k] * way
+        for k in range(3):
+            normal = u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3]
+            above += normal * a[k]
+            towards += normal * directions[i, k]
+        plane = above / towards
+        if not np.isfinite(plane):
+            plane = distance[i]
+        distance[i] = max(min(foot_a, foot_b, foot_c) / squared, min(plane, max(foot_a, foot_b, foot_c) / squared))
+
+
+def linear_beam(microscope: Microscope, pose: Pose) -> tuple[Array, Array]:
+    """Coefficients of `pixel_rays`, whose origins and directions are linear functions of the position in the image.
+
+    Returns
+    -------
+    origin_um, direction
+        (3, 3) each, world frame; the ray of (x, y) has ``origin[0] + x origin[1] + y origin[2]``, and so its direction.
+    """
+    far = 4096.0  # a power of two, which divides without rounding
+    at = np.array([[0.0, 0.0], [far, 0.0], [0.0, far]])
+    return tuple(  # type: ignore[return-value]
+        np.stack([ray[0], (ray[1] - ray[0]) / far, (ray[2] - ray[0]) / far]) for ray in pixel_rays(microscope, pose, at)
+    )
 
 
 def bounding_sphere(mesh: Mesh) -> tuple[Array, float]:

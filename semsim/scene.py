@@ -7,21 +7,21 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
-import cattrs
-import cattrs.v
-from cattrs.errors import ForbiddenExtraKeysError
-
+from semsim.charging import ChargingOptions
+from semsim.databar import DataBarOptions
 from semsim.detector import DetectorOptions
 from semsim.errors import InputError
+from semsim.imperfections import StageErrors, ViewErrors
 from semsim.microscope import PRINT_WIDTH_UM, UM_PER_INCH, Microscope, TiltSchedule
+from semsim.scan import ScanOptions
 from semsim.signal import SignalOptions
+from semsim.spot import SpotOptions
+from semsim.structure import plain, structured
 
 if TYPE_CHECKING:
     from semsim.specimens import Specimen
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,18 @@ class Scene:
     specimen
         Makes the mesh when called with a generator.
     microscope, schedule
-        Pixel grid, projection and stage.
-    signal, detector
-        Contrast mechanisms, dose and electronics.
+        Pixel grid, projection and stage, as the instrument states them.
+    signal, spot, charging, detector
+        Contrast mechanisms, shape of the beam, streaks, dose and electronics.
+    stage_errors, view_errors, scan
+        Where stage, column and beam are beside what they state.
+    data_bar
+        Rows below the pictures in the files, with scale and settings; the truth has none.
     specimen_seed
         Seed of the specimen's shape, apart from that of the noise: repetitions photograph the same grain.
+    instrument_seed
+        Seed of the errors of stage, column and scan, apart from that of the noise: repetitions of the noise share them,
+        so that surfaces are found once. Other errors are another scene.
     """
 
     name: str
@@ -47,15 +54,63 @@ class Scene:
     microscope: Microscope
     schedule: TiltSchedule
     signal: SignalOptions = field(default_factory=SignalOptions)
+    spot: SpotOptions = field(default_factory=SpotOptions)
+    charging: ChargingOptions = field(default_factory=ChargingOptions)
     detector: DetectorOptions = field(default_factory=DetectorOptions)
+    stage_errors: StageErrors = field(default_factory=StageErrors)
+    view_errors: ViewErrors = field(default_factory=ViewErrors)
+    scan: ScanOptions = field(default_factory=ScanOptions)
+    data_bar: DataBarOptions = field(default_factory=DataBarOptions)
     specimen_seed: int = 0
+    instrument_seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("specimen_seed", "instrument_seed"):
+            if getattr(self, name) < 0:
+                raise InputError(f"{name} must not be negative: {getattr(self, name)}")
+
+
+SECTIONS: dict[str, type] = {
+    "schedule": TiltSchedule,
+    "signal": SignalOptions,
+    "spot": SpotOptions,
+    "charging": ChargingOptions,
+    "detector": DetectorOptions,
+    "stage_errors": StageErrors,
+    "view_errors": ViewErrors,
+    "scan": ScanOptions,
+    "data_bar": DataBarOptions,
+}
+"""Tables of a scene's file that hold the fields of a dataclass."""
 
 
 POLLEN = (Microscope.from_data_bar(5, 34, 854, 640), TiltSchedule((0.0, 3.0, 6.0, 9.0)))
 DIATOM = (Microscope.from_data_bar(5, 60, 2560, 1920), TiltSchedule((0.0, -15.0, -30.0)))
 SMALL = (Microscope(0.5, 256, 192), TiltSchedule((0.0, 5.0, 10.0)))
-NAMED = {"pollen": POLLEN, "diatom": DIATOM, "plane": SMALL, "step": SMALL, "sphere": SMALL, "wedge": SMALL}
-"""Scenes that carry their specimen's name. Pollen and diatom have the geometry of the seed paper's Table 1."""
+SAND = Microscope(1.2, 854, 640, working_distance_um=10_000.0)
+NEAR_SAND = Microscope(0.6, 854, 640, working_distance_um=5_000.0)
+NAMED = {
+    "pollen": POLLEN,
+    "diatom": DIATOM,
+    "fracture": (POLLEN[0], TiltSchedule((0.0, 5.0, 10.0))),
+    "grains": (SAND, TiltSchedule((-7.0, 0.0, 7.0))),
+    "spheres": (POLLEN[0], TiltSchedule((-10.0, 0.0, 10.0))),
+    "pyramid": (POLLEN[0], TiltSchedule((-8.0, 0.0, 8.0))),
+    "steps": (POLLEN[0], TiltSchedule((0.0, 7.0, 14.0))),
+    "wires": (POLLEN[0], TiltSchedule((-10.0, -5.0, 0.0, 5.0, 10.0))),
+    "translation": (NEAR_SAND, TiltSchedule((0.0,) * 7, 0.0, tuple((50.0 * i, 0.0) for i in range(7)))),
+    "plane": SMALL,
+    "step": SMALL,
+    "sphere": SMALL,
+    "wedge": SMALL,
+}
+"""Scenes by name. Pollen and diatom have the geometry of the seed paper's Table 1. Sand is seen at 124x, in
+perspective; in `translation` the stage only slides, which has parallax in perspective alone (docs/conventions.md)."""
+SANDS_SIGNAL = SignalOptions(shadow_reach_um=80.0)
+SIGNALS_OF = {"grains": SANDS_SIGNAL, "translation": SANDS_SIGNAL}
+"""Signals that differ from the default: pores of sand are ten times as wide as what the default looks for."""
+SPECIMENS_OF = {"translation": {"name": "grains", "frame_width_um": 1200.0, "frame_height_um": 400.0}}
+"""Specimens of the scenes that do not carry their specimen's name. A stage that slides needs a bed that reaches."""
 
 
 def scene(name: str) -> Scene:
@@ -65,7 +120,8 @@ def scene(name: str) -> Scene:
     if name not in NAMED:
         raise InputError(f"no scene is called {name!r}; there are {', '.join(NAMED)}")
     microscope, schedule = NAMED[name]
-    return Scene(name, specimen_from({"name": name}), microscope, schedule)
+    specimen = specimen_from(SPECIMENS_OF.get(name, {"name": name}))
+    return Scene(name, specimen, microscope, schedule, SIGNALS_OF.get(name, SignalOptions()))
 
 
 def load_scene(name_or_path: str | Path) -> Scene:
@@ -96,7 +152,7 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", base_dir: Path | N
     Parameters
     ----------
     table
-        Holds `specimen`, `microscope` and `schedule`, and where wanted `name`, `signal`, `detector`, `specimen_seed`.
+        Holds `specimen`, `microscope` and `schedule`, and where wanted the other fields of a scene.
     name
         For a table that has none.
     base_dir
@@ -110,30 +166,36 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", base_dir: Path | N
     for section in ("specimen", "microscope", "schedule"):
         if not isinstance(table.get(section), Mapping):
             raise InputError(f"a table [{section}] is missing")
+    rest: dict[str, Any] = {
+        key: structured(table[key], kind, f"[{key}]") for key, kind in SECTIONS.items() if key in table
+    }
+    rest |= {key: structured(table[key], int, key) for key in ("specimen_seed", "instrument_seed") if key in table}
     return Scene(
         name=str(table.get("name", name)),
         specimen=specimen_from(table["specimen"], base_dir),
         microscope=_microscope_from(table["microscope"]),
-        schedule=_structure(table["schedule"], TiltSchedule, "[schedule]"),
-        signal=_structure(table.get("signal", {}), SignalOptions, "[signal]"),
-        detector=_structure(table.get("detector", {}), DetectorOptions, "[detector]"),
-        specimen_seed=_structure(table.get("specimen_seed", 0), int, "specimen_seed"),
+        **rest,
     )
 
 
 def tables(scene: Scene) -> dict[str, Any]:
     """Tables of a TOML file from which `scene_from` makes the same scene."""
-    specimen = _plain(scene.specimen)
+    specimen = plain(scene.specimen)
     if "file" not in specimen:
         specimen = {"name": scene.specimen.name, **specimen}
-    answer: dict[str, Any] = {"name": scene.name, "specimen_seed": scene.specimen_seed, "specimen": specimen}
-    for section in ("microscope", "schedule", "signal", "detector"):
-        answer[section] = _plain(getattr(scene, section))
+    seeds = {"specimen_seed": scene.specimen_seed, "instrument_seed": scene.instrument_seed}
+    answer: dict[str, Any] = {"name": scene.name, **seeds, "specimen": specimen}
+    for section in ("microscope", *SECTIONS):
+        if getattr(scene, section) is not None:
+            answer[section] = plain(getattr(scene, section))
     return answer
 
 
 def scaled(scene: Scene, factor: float) -> Scene:
-    """Photograph the same field with `factor` times the columns and rows; the spot keeps its size in pixels.
+    """Photograph the same field with `factor` times the columns and rows.
+
+    The spot in focus and the scan errors keep their size in pixels, so that the picture stays as sharp and as steady
+    as it looks; the blur out of focus, the errors of the stage and all else stated in um stay on the specimen.
 
     Raises
     ------
@@ -155,12 +217,12 @@ def scaled(scene: Scene, factor: float) -> Scene:
 def _microscope_from(table: Mapping[str, Any]) -> Microscope:
     """Read the microscope, whose pixel size may be stated in several ways (one at a time)."""
     ways = {"pixel_size_um", "bar_um", "bar_px", "bar_mm", "dpi", "magnification", "print_width_um"}
-    said = {key: _structure(table[key], float, f"[microscope] {key}") for key in sorted(ways & set(table))}
+    said = {key: structured(table[key], float, f"[microscope] {key}") for key in sorted(ways & set(table))}
     if any(not value > 0 for value in said.values()):
         raise InputError(f"[microscope] {' and '.join(said)} must be positive")
     rest = {key: value for key, value in table.items() if key not in ways}
-    width = _structure(table.get("width_px", 1), int, "[microscope] width_px")
-    return _structure(rest | {"pixel_size_um": _pixel_size_um(said, width)}, Microscope, "[microscope]")
+    width = structured(table.get("width_px", 1), int, "[microscope] width_px")
+    return structured(rest | {"pixel_size_um": _pixel_size_um(said, width)}, Microscope, "[microscope]")
 
 
 def _pixel_size_um(said: dict[str, float], width_px: int) -> float:
@@ -180,39 +242,3 @@ def _pixel_size_um(said: dict[str, float], width_px: int) -> float:
         "bar_mm and dpi; or magnification, with dpi or print_width_um where known; "
         f"it has {', '.join(said) or 'none of them'}"
     )
-
-
-def _structure(value: Any, kind: type[T], where: str) -> T:
-    """Turn what TOML holds into a value of ours, or say in one sentence which entry is unknown, missing or wrong."""
-    converter = cattrs.Converter(forbid_extra_keys=True)
-    for number in (int, float):
-        converter.register_structure_hook(number, _number)
-    try:
-        return converter.structure(value, kind)
-    except Exception as error:
-        faults = cattrs.transform_error(error, path=where, format_exception=_fault)
-        raise InputError(faults[0].replace(" @ ", " in ")) from error
-
-
-def _number(value: Any, kind: type[float]) -> float:
-    allowed = int if kind is int else (int, float)
-    if isinstance(value, bool) or not isinstance(value, allowed):
-        raise InputError(f"{value!r} is not {'a whole' if kind is int else 'a'} number")
-    return kind(value)
-
-
-def _fault(error: BaseException, kind: type | None) -> str:
-    if isinstance(error, InputError):
-        return str(error)
-    if isinstance(error, ForbiddenExtraKeysError):
-        known = ", ".join(f.name for f in dataclasses.fields(error.cl))
-        return f"unknown key {', '.join(sorted(error.extra_fields))} (known are {known})"
-    return str(cattrs.v.format_exception(error, kind))
-
-
-def _plain(value: Any) -> dict[str, Any]:
-    """Fields of a dataclass as TOML can hold them; None is left out, which means the same."""
-    fields = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
-    return {
-        key: str(item.resolve()) if isinstance(item, Path) else item for key, item in fields.items() if item is not None
-    }

@@ -1,20 +1,27 @@
-"""What the beam meets at each pixel of a view, before any electron is counted."""
+"""What the beam meets at each pixel of a view, before any electron is counted.
+
+Three ways lead to depth and triangle; position and normal are then worked out alike, in float64, for all of them.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from semsim.bands import in_bands
 from semsim.errors import InputError
 from semsim.mesh import Array, Mesh
 from semsim.microscope import Microscope, Pose, camera_from_world, pixel_grid, pixel_rays
-from semsim.raycast import RayCaster
+from semsim.raycast import RayCaster, linear_beam
 
-Backend = Literal["raycast", "pyrender"]
+Backend = Literal["auto", "zbuffer", "raycast", "pyrender"]
 BACKENDS: tuple[str, ...] = get_args(Backend)
+ON_THE_GRID = np.empty((0, 0, 2))
+"""Beam positions of nowhere: every beam is where its pixel is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +56,7 @@ def surface_buffer(
     mesh: Mesh,
     microscope: Microscope,
     pose: Pose,
-    backend: Backend = "raycast",
+    backend: Backend = "auto",
     *,
     beam_px: Array | None = None,
 ) -> SurfaceBuffer:
@@ -58,30 +65,26 @@ def surface_buffer(
     Parameters
     ----------
     backend
-        "raycast": exact, any projection, any beam positions. "pyrender": OpenGL, parallel projection on the pixel
-        grid only, depth to about 1e-6 of the mesh's extent.
+        "raycast": the reference; any projection, any beam positions. "zbuffer": our own rasteriser, many times faster
+        and as exact; parallel projection on the pixel grid only. "pyrender": OpenGL, with the same bounds, depth to
+        about 1e-6 of the mesh's extent. "auto": zbuffer where it can, raycast elsewhere.
     beam_px
         Where the beam is for each pixel, (rows, columns, 2); None is the undisturbed `pixel_grid`.
 
     Raises
     ------
     InputError
-        The mesh reaches the pivot of a perspective scan, or pyrender is asked for what it cannot do.
+        The mesh reaches the pivot of a perspective scan, or a rasteriser is asked for what it cannot do.
     """
     if microscope.working_distance_um is not None:
         _require_below_pivot(mesh, microscope.working_distance_um, pose)
-    if backend == "pyrender":
-        from semsim.raster import rasterise
-
-        if beam_px is not None:
-            raise InputError("backend pyrender draws the regular pixel grid only; use raycast for displaced beams")
-        depth, face = rasterise(mesh, microscope, pose)
-    elif backend == "raycast":
-        rays = pixel_rays(microscope, pose, pixel_grid(microscope) if beam_px is None else beam_px)
-        hits = RayCaster(mesh).cast(*rays)
-        depth, face = hits.distance, hits.face
-    else:
+    if backend == "auto":
+        backend = "zbuffer" if beam_px is None and microscope.working_distance_um is None else "raycast"
+    if backend not in BACKENDS:
         raise InputError(f"backend must be one of {', '.join(BACKENDS)}, not {backend!r}")
+    if backend != "raycast" and beam_px is not None:
+        raise InputError(f"backend {backend} draws the regular pixel grid only; use raycast for displaced beams")
+    depth, face = _search(mesh, microscope, pose, backend, beam_px)
     return buffer_from_depth(mesh, microscope, pose, depth, face, beam_px=beam_px)
 
 
@@ -95,14 +98,15 @@ def buffer_from_depth(
     beam_px: Array | None = None,
 ) -> SurfaceBuffer:
     """Complete a buffer from depth and triangle, (rows, columns) each: position along the ray, then the normal."""
-    origins, directions = pixel_rays(microscope, pose, pixel_grid(microscope) if beam_px is None else beam_px)
-    position = origins + depth_um[..., None] * directions
-    smooth = interpolate(mesh, mesh.vertex_normals, face, position)
-    # Opposite corner normals can cancel on a folded mesh; the triangle's own normal is then the honest answer.
-    length = np.linalg.norm(smooth, axis=-1, keepdims=True)
-    smooth = np.where(length > 1e-6, smooth / np.maximum(length, 1e-6), mesh.face_normals[face])
-    smooth[face < 0] = np.nan
-    return SurfaceBuffer(depth_um, position, smooth, face)
+    beams = ON_THE_GRID if beam_px is None else np.ascontiguousarray(beam_px, dtype=np.float64)
+    origin, direction = linear_beam(microscope, pose)
+    shape = (mesh.vertices_um, mesh.faces, mesh.vertex_normals, mesh.face_normals)
+    position, normal = (np.empty((*face.shape, 3)) for _ in range(2))
+    in_bands(
+        len(face),
+        lambda top, bottom: _complete(top, bottom, depth_um, face, beams, origin, direction, *shape, position, normal),
+    )
+    return SurfaceBuffer(depth_um, position, normal, face)
 
 
 def interpolate(mesh: Mesh, vertex_values: Array, face: NDArray[np.int32], position_um: Array) -> Array:
@@ -141,6 +145,90 @@ def barycentric(mesh: Mesh, face: NDArray[np.int32], position_um: Array) -> Arra
     weights[:, 0] = 1 - weights[:, 1] - weights[:, 2]
     weights = np.clip(weights, 0.0, 1.0)
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+def _search(
+    mesh: Mesh, microscope: Microscope, pose: Pose, backend: Backend, beam_px: Array | None
+) -> tuple[Array, NDArray[np.int32]]:
+    """Depth and triangle, (rows, columns) each, in the way asked for."""
+    if backend == "zbuffer":
+        from semsim.zbuffer import rasterise
+
+        return rasterise(mesh, microscope, pose)
+    if backend == "pyrender":
+        from semsim.raster import rasterise as draw
+
+        return draw(mesh, microscope, pose)
+    hits = RayCaster(mesh).cast(*pixel_rays(microscope, pose, pixel_grid(microscope) if beam_px is None else beam_px))
+    return hits.distance, hits.face
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _complete(
+    top: int,
+    bottom: int,
+    depth: Array,
+    face: NDArray[np.int32],
+    beams: Array,
+    origin: Array,
+    direction: Array,
+    vertices: Array,
+    faces: NDArray[np.int32],
+    vertex_normals: Array,
+    face_normals: Array,
+    position: Array,
+    normal: Array,
+) -> None:  # pragma: no cover - compiled
+    at, to_b, to_c = np.empty(3), np.empty(3), np.empty(3)
+    a = b = c = last = -1
+    for row in range(top, bottom):
+        for column in range(depth.shape[1]):
+            f = face[row, column]
+            if f < 0:
+                position[row, column] = np.nan
+                normal[row, column] = np.nan
+                continue
+            if f != last:
+                a, b, c, last = faces[f, 0], faces[f, 1], faces[f, 2], f
+                _barycentric_gradients(vertices[a], vertices[b], vertices[c], to_b, to_c)
+            x, y = float(column), float(row)
+            if beams.size > 0:
+                x, y = beams[row, column, 0], beams[row, column, 1]
+            weight_b = weight_c = 0.0
+            for k in range(3):
+                way = direction[0, k] + x * direction[1, k] + y * direction[2, k]
+                at[k] = origin[0, k] + x * origin[1, k] + y * origin[2, k] + depth[row, column] * way
+                weight_b += (at[k] - vertices[a, k]) * to_b[k]
+                weight_c += (at[k] - vertices[a, k]) * to_c[k]
+            weight_a = max(0.0, 1.0 - weight_b - weight_c)
+            weight_b, weight_c = max(0.0, weight_b), max(0.0, weight_c)
+            squared = 0.0
+            for k in range(3):
+                position[row, column, k] = at[k]
+                at[k] = (
+                    weight_a * vertex_normals[a, k] + weight_b * vertex_normals[b, k] + weight_c * vertex_normals[c, k]
+                )
+                squared += at[k] * at[k]
+            # Opposite corner normals can cancel on a folded mesh; the triangle's own normal is then the honest answer.
+            length = np.sqrt(squared)
+            for k in range(3):
+                normal[row, column, k] = at[k] / length if length > 1e-6 else face_normals[f, k]
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _barycentric_gradients(
+    a: Array, b: Array, c: Array, to_b: Array, to_c: Array
+) -> None:  # pragma: no cover - compiled
+    """Vectors whose products with ``point - a`` are the weights of b and c, by Cramer's rule as in `barycentric`."""
+    bb = bc = cc = 0.0
+    for k in range(3):
+        bb += (b[k] - a[k]) * (b[k] - a[k])
+        bc += (b[k] - a[k]) * (c[k] - a[k])
+        cc += (c[k] - a[k]) * (c[k] - a[k])
+    area = max(bb * cc - bc * bc, 1e-300)
+    for k in range(3):
+        to_b[k] = (cc * (b[k] - a[k]) - bc * (c[k] - a[k])) / area
+        to_c[k] = (bb * (c[k] - a[k]) - bc * (b[k] - a[k])) / area
 
 
 def _require_below_pivot(mesh: Mesh, working_distance_um: float, pose: Pose) -> None:

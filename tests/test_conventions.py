@@ -18,8 +18,12 @@ from numpy.testing import assert_allclose
 from semrecon import geometry
 from semrecon.data import Array, Image, Optics, TiltSeries, View
 from semsim import microscope as scope
+from semsim.imperfections import StageErrors, ViewErrors
 from semsim.mesh import Mesh
 from semsim.raycast import RayCaster
+from semsim.scan import ScanOptions, beam_positions, scan_offsets
+from semsim.surface import surface_buffer
+from semsim.truth import GroundTruth
 
 WIDTH_PX, HEIGHT_PX, PIXEL_UM = 64, 48, 0.25
 CLOSEST_PX = 1e-6
@@ -101,6 +105,45 @@ def test_any_position_comes_back(
     tilt: float, axis: float, shift: tuple[float, float], distance: float | None, xy: tuple[float, float]
 ) -> None:
     check_round_trip(Stand(tilt, axis, shift, distance), np.array([xy]))
+
+
+SHAKY = ScanOptions((1.2, -0.7), 0.6, 0.2, (0.4, 0.2), 5.0, line_jitter_px=0.15, flyback_px=1.5)
+
+
+@pytest.mark.parametrize("working_distance_um", [None, 400.0], ids=["parallel", "perspective"])
+@pytest.mark.parametrize("tilt_deg", [0.0, -25.0, 40.0])
+def test_every_pixel_comes_back_to_where_the_beam_was(tilt_deg: float, working_distance_um: float | None) -> None:
+    """With scan errors on: what semrecon projects is off its pixel by the offset that the truth states, and no more."""
+    stand = Stand(tilt_deg, 20.0, (0.7, -1.1), working_distance_um)
+    beam = beam_positions(stand.microscope, SHAKY, np.random.default_rng(3))
+    check_round_trip(stand, beam)
+    offsets = scan_offsets(stand.microscope, SHAKY, np.random.default_rng(3))
+    buffer = surface_buffer(MESH, stand.microscope, stand.pose, beam_px=beam)
+    there = stand.seen_by_semrecon(buffer.position_um) - offsets
+    assert_allclose(there, scope.pixel_grid(stand.microscope), rtol=0, atol=CLOSEST_PX)
+    assert np.abs(offsets).max() > 1
+
+
+@pytest.mark.parametrize("working_distance_um", [None, 400.0], ids=["parallel", "perspective"])
+def test_the_truth_leads_back_through_column_and_scan(working_distance_um: float | None) -> None:
+    """World point, semrecon's camera at the true tilt, the column's affine map written out here, then the scan."""
+    stand = Stand(12.25, 20.0, (0.7, -1.1), working_distance_um)
+    magnification, turn, skew = 0.013, math.radians(1.7), 0.006
+    pose = scope.poses(
+        scope.TiltSchedule((12.0,), 20.0, (stand.shift_um,)),
+        StageErrors((0.25,)),
+        ViewErrors((magnification,), (math.degrees(turn),), (skew,)),
+    )[0]
+    microscope, offsets = stand.microscope, scan_offsets(stand.microscope, SHAKY, np.random.default_rng(3))
+    buffer = surface_buffer(MESH, microscope, pose, beam_px=scope.pixel_grid(microscope) + offsets)
+    truth = GroundTruth(MESH, microscope, (pose,), (buffer,), (offsets,))
+
+    x, y = np.moveaxis(stand.seen_by_semrecon(buffer.position_um) - microscope.centre_px, -1, 0)
+    x = x + skew * y
+    x, y = math.cos(turn) * x + math.sin(turn) * y, math.cos(turn) * y - math.sin(turn) * x
+    there = (1 + magnification) * np.stack([x, y], axis=-1) + microscope.centre_px - offsets
+    assert_allclose(there, scope.pixel_grid(microscope), rtol=0, atol=CLOSEST_PX)
+    assert_allclose(truth.image_of(0, buffer.position_um), there, rtol=0, atol=CLOSEST_PX)
 
 
 @given(tilt=TILTS, axis=AXES)

@@ -1,54 +1,22 @@
-"""Spot, counting statistics and grey levels."""
+"""Dose, counting statistics and grey levels."""
+
+import subprocess
+import sys
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from semsim.detector import DetectorOptions, blur_by_spot, contrasts, count_electrons, digitise, spot_kernel
+from semsim.detector import (
+    DetectorOptions,
+    contrasts,
+    count_electrons,
+    digitise,
+    expected_electrons,
+    incident_electrons,
+    random_children,
+    saturation,
+)
 from semsim.errors import InputError
-
-
-@given(st.floats(0.05, 6.0))
-def test_the_spot_keeps_every_electron_and_moves_none(sigma_px):
-    kernel = spot_kernel(sigma_px)
-    x = np.arange(len(kernel)) - len(kernel) // 2
-    assert abs(kernel.sum() - 1) < 1e-12
-    assert abs((x * kernel).sum()) < 1e-12
-    assert np.array_equal(kernel, kernel[::-1])
-
-
-@given(st.floats(0.8, 6.0))
-def test_the_spot_has_the_width_asked_for(sigma_px):
-    kernel = spot_kernel(sigma_px)
-    x = np.arange(len(kernel)) - len(kernel) // 2
-    assert np.sqrt((x**2 * kernel).sum()) == pytest.approx(sigma_px, rel=1e-3)
-
-
-def test_a_needle_leaves_the_picture_as_it_is():
-    rate = np.random.default_rng(0).uniform(size=(9, 11))
-    assert blur_by_spot(rate, 0.0) is rate
-    assert np.array_equal(spot_kernel(0.0), [1.0])
-
-
-def test_blurring_a_point_gives_the_spot():
-    rate = np.zeros((31, 33))
-    rate[15, 16] = 1.0
-    x, y = np.arange(33) - 16, np.arange(31) - 15
-    gauss = np.exp(-0.5 * (x[None] ** 2 + y[:, None] ** 2) / 1.3**2)
-    blurred = blur_by_spot(rate, 1.3)
-    assert blurred.sum() == pytest.approx(1, abs=1e-12)
-    assert np.allclose(blurred, gauss / gauss.sum(), atol=2e-7)
-    assert (blurred.sum(axis=0) * x).sum() == pytest.approx(0, abs=1e-12)
-
-
-def test_blurring_commutes_with_shifting_and_keeps_ramps():
-    rate = np.random.default_rng(1).uniform(size=(40, 40))
-    shifted = blur_by_spot(np.roll(rate, (2, -3), (0, 1)), 0.9)
-    assert np.allclose(shifted[8:-8, 8:-8], np.roll(blur_by_spot(rate, 0.9), (2, -3), (0, 1))[8:-8, 8:-8], atol=1e-12)
-    ramp = np.add.outer(np.arange(40.0), 2 * np.arange(40.0))
-    assert np.allclose(blur_by_spot(ramp, 0.9)[6:-6, 6:-6], ramp[6:-6, 6:-6], atol=1e-12)
-    assert np.allclose(blur_by_spot(np.full((9, 9), 3.0), 2.0), 3.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("dose", [3.0, 200.0])
@@ -82,6 +50,105 @@ def test_neighbouring_pixels_draw_independently():
     electrons = count_electrons(np.full((300, 300), 100.0), 0.0, np.random.default_rng(8)) - 100.0
     for a, b in ((electrons[:, :-1], electrons[:, 1:]), (electrons[:-1], electrons[1:])):
         assert abs((a * b).mean() / 100.0) < 4 / np.sqrt(a.size)
+
+
+def drawn(options, seed, rate=1.0, size=400):
+    """Electrons of a flat sheet."""
+    expected = expected_electrons(np.full((size, size), rate), options)
+    return count_electrons(expected, options.summed_read_noise_e, np.random.default_rng(seed))
+
+
+def assert_noise(electrons, mean, variance):
+    """Mean and variance within 4 sigma of a model whose fourth moment is near enough a Gaussian's, from both sides."""
+    n = electrons.size
+    assert abs(electrons.mean() - mean) < 4 * np.sqrt(variance / n)
+    assert abs(electrons.var(ddof=1) - variance) < 4 * np.sqrt((variance + 2 * variance**2) / n)
+
+
+def test_a_picoampere_for_a_microsecond_is_6_24_electrons():
+    assert incident_electrons(1.0, 1.0) == pytest.approx(6.241509, rel=1e-6)
+    assert incident_electrons(216.0, 12.85) == pytest.approx(17_324, rel=1e-4)
+
+
+def test_current_and_dwell_time_state_the_same_dose_as_electrons_do():
+    stated = DetectorOptions(beam_current_pa=10.0, dwell_us=2.0)
+    assert stated.frame_dose_e == pytest.approx(124.83, rel=1e-4)
+    assert np.array_equal(drawn(stated, 1), drawn(DetectorOptions(stated.frame_dose_e), 1))
+
+
+@pytest.mark.parametrize(
+    "options", [{"beam_current_pa": 10.0}, {"dwell_us": 1.0}, {"beam_current_pa": 1.0, "dwell_us": 1.0, "dose_e": 9.0}]
+)
+def test_a_dose_stated_in_part_or_twice_is_refused(options):
+    with pytest.raises(InputError, match="dose"):
+        DetectorOptions(**options)
+
+
+def test_one_frame_and_a_perfect_detector_change_nothing():
+    rate = np.random.default_rng(0).uniform(size=(8, 9))
+    assert np.array_equal(expected_electrons(rate, DetectorOptions(dose_e=1.0)), rate)
+    assert np.array_equal(expected_electrons(rate, DetectorOptions(dose_e=70.0)), 70.0 * rate)
+
+
+def test_an_inefficient_detector_thins_the_electrons_and_they_stay_poisson():
+    """As many as a coin thrown for each electron keeps, and with their scatter."""
+    assert_noise(drawn(DetectorOptions(dose_e=200.0, dqe=0.3), 2), 60.0, 60.0)
+    tossed = np.random.default_rng(3).binomial(drawn(DetectorOptions(dose_e=200.0), 4).astype(int), 0.3)
+    assert_noise(tossed, 60.0, 60.0)
+
+
+def test_frames_add_up_in_signal_counting_noise_and_read_noise():
+    """Eight frames drawn at once have the mean and variance of eight drawn apart and added."""
+    eight = DetectorOptions(dose_e=10.0, frames=8, read_noise_e=2.0)
+    single = DetectorOptions(dose_e=10.0, read_noise_e=2.0)
+    assert_noise(drawn(eight, 5), 80.0, 80.0 + 8 * 4.0)
+    assert_noise(sum(drawn(single, seed) for seed in range(10, 18)), 80.0, 80.0 + 8 * 4.0)
+
+
+def test_everything_together_has_the_variance_of_the_model():
+    """Grey variance: gain^2 (dose frames dqe rate + frames read_noise^2), plus 1/12 for the rounding."""
+    options = DetectorOptions(dose_e=50.0, frames=4, dqe=0.5, read_noise_e=3.0, bits=16, gain_per_e=20.0)
+    (contrast,) = contrasts([np.ones((2, 2))], options)
+    grey = digitise(drawn(options, 6, rate=0.8), contrast, 16).astype(float)
+    assert_noise(grey / 20.0, 80.0, 80.0 + 4 * 9.0 + 1 / 12 / 400)
+
+
+def test_auto_contrast_knows_frames_and_efficiency():
+    rate = np.random.default_rng(7).uniform(0.2, 2.0, (300, 300))
+    noisy = DetectorOptions(dose_e=50.0, frames=8, dqe=0.4, read_noise_e=30.0)
+    for options in (DetectorOptions(), noisy):
+        expected = expected_electrons(rate, options)
+        (contrast,) = contrasts([expected], options)
+        electrons = count_electrons(expected, options.summed_read_noise_e, np.random.default_rng(8))
+        black, white = saturation(digitise(electrons, contrast, 8))
+        assert black < 0.01
+        assert 0 < white < 0.02
+
+
+def test_views_and_channels_draw_from_children_that_do_not_depend_on_the_others():
+    few = random_children(np.random.default_rng(9), 2)
+    many = random_children(np.random.default_rng(9), 3, 4)
+    draws = {child.integers(2**62) for view in many for child in view}
+    assert len(draws) == 12
+    assert {child.integers(2**62) for view in few for child in view} < draws
+
+
+def test_the_same_seed_gives_the_same_bits_in_another_process():
+    script = """
+import numpy as np
+from semsim.detector import count_electrons, random_children
+child = random_children(np.random.default_rng(11), 2, 2)[1][1]
+print(count_electrons(np.full((30, 40), 50.0), 2.0, child).tobytes().hex())
+"""
+    answers = [subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True) for _ in "ab"]
+    child = random_children(np.random.default_rng(11), 2, 2)[1][1]
+    here = count_electrons(np.full((30, 40), 50.0), 2.0, child).tobytes().hex()
+    assert [answer.stdout.strip() for answer in answers] == [here, here]
+
+
+def test_saturation_is_the_share_at_either_end():
+    assert saturation(np.array([[0, 0, 255, 7]], dtype=np.uint8)) == (0.5, 0.25)
+    assert saturation(np.array([[0, 255, 65535, 65535]], dtype=np.uint16)) == (0.25, 0.5)
 
 
 def test_grey_levels_are_linear_rounded_and_clipped():
@@ -123,7 +190,11 @@ def test_a_blank_view_still_has_a_contrast():
     ("key", "value"),
     [
         ("dose_e", 0.0),
-        ("spot_sigma_px", -1.0),
+        ("beam_current_pa", 0.0),
+        ("dwell_us", -1.0),
+        ("frames", 0),
+        ("dqe", 1.5),
+        ("dqe", 0.0),
         ("read_noise_e", -1.0),
         ("bits", 12),
         ("contrast", "x"),

@@ -7,22 +7,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from semsim.backscatter import BackscatterOptions
 from semsim.errors import InputError
 from semsim.mesh import Mesh
 from semsim.microscope import Microscope, TiltSchedule, poses
 from semsim.shadowing import sky_visibility
 from semsim.signal import (
     SignalOptions,
+    as_seen,
     cos_incidence,
-    electron_rate,
+    electron_rates,
     secant_yield,
+    secondary_rate,
     shadow_response,
     side_detector_response,
 )
 from semsim.surface import surface_buffer
 
 MICROSCOPE = Microscope(0.25, 48, 36)
-OFF = SignalOptions(yield_exponent=0.0, asymmetry=0.0, shadowing=0.0)
+OFF = SignalOptions(yield_exponent=0.0, edge_strength=0.0, asymmetry=0.0, shadowing=0.0)
 
 
 def plane(slope_x: float = 0.0, slope_y: float = 0.0, width: float = 100.0, vertex_yield=None) -> Mesh:
@@ -37,6 +40,14 @@ def groove(half_width: float, depth: float) -> Mesh:
     vertices = [(x[k], y, z[k]) for i in range(4) for y in (-100.0, 100.0) for k in (i, i + 1)]
     faces = [f for i in range(0, 16, 4) for f in ((i, i + 1, i + 3), (i, i + 3, i + 2))]
     return Mesh(np.array(vertices), np.array(faces, dtype=np.int32))
+
+
+def trench(half_width: float, depth: float) -> Mesh:
+    """A trench along y with upright walls in a level plane; five strips that share no vertex."""
+    x, z = [-100, -half_width, -half_width, half_width, half_width, 100], [0, 0, -depth, -depth, 0, 0]
+    vertices = [(x[k], y, z[k]) for i in range(5) for y in (-100.0, 100.0) for k in (i, i + 1)]
+    faces = [f for i in range(0, 20, 4) for f in ((i, i + 1, i + 3), (i, i + 3, i + 2))]
+    return Mesh(np.array(vertices, dtype=float), np.array(faces, dtype=np.int32))
 
 
 def view(mesh: Mesh, tilt_deg: float = 0.0, axis_deg: float = 0.0, microscope: Microscope = MICROSCOPE):
@@ -91,40 +102,93 @@ def test_under_perspective_the_beam_slants_away_from_the_axis():
 def test_with_everything_off_the_rate_is_one_everywhere():
     mesh = groove(4.0, 3.0)
     buffer, pose = view(mesh, 20.0, 35.0)
-    assert np.array_equal(electron_rate(buffer, pose, OFF, mesh, MICROSCOPE), np.ones(MICROSCOPE.shape))
+    assert np.array_equal(secondary_rate(buffer, pose, OFF, mesh, MICROSCOPE), np.ones(MICROSCOPE.shape))
 
 
-@pytest.mark.parametrize("switch", ["yield_exponent", "asymmetry", "shadowing"])
+@pytest.mark.parametrize("switch", ["yield_exponent", "edge_strength", "asymmetry", "shadowing"])
 def test_each_effect_alone_changes_the_picture_and_its_off_switch_does_not(switch):
     mesh = groove(4.0, 3.0)
     buffer, pose = view(mesh)
     on = replace(OFF, **{switch: getattr(SignalOptions(), switch)}, detector_azimuth_deg=0.0)
-    assert np.ptp(electron_rate(buffer, pose, on, mesh, MICROSCOPE)) > 0.1
+    assert np.ptp(secondary_rate(buffer, pose, on, mesh, MICROSCOPE)) > 0.05
 
 
 def test_the_rate_is_the_product_of_the_effects():
     mesh = groove(4.0, 3.0)
     buffer, pose = view(mesh, 10.0)
-    one = [replace(OFF, yield_exponent=1.0), replace(OFF, asymmetry=0.3), replace(OFF, shadowing=0.8)]
-    every = SignalOptions(yield_exponent=1.0, asymmetry=0.3, shadowing=0.8)
-    product = np.prod([electron_rate(buffer, pose, options, mesh, MICROSCOPE) for options in one], axis=0)
-    assert np.allclose(electron_rate(buffer, pose, every, mesh, MICROSCOPE), product, rtol=1e-12)
+    strengths = {"yield_exponent": 1.0, "edge_strength": 1.3, "asymmetry": 0.3, "shadowing": 0.8}
+    one = [replace(OFF, **{name: strength}) for name, strength in strengths.items()]
+    every = replace(OFF, **strengths)
+    product = np.prod([secondary_rate(buffer, pose, options, mesh, MICROSCOPE) for options in one], axis=0)
+    assert np.allclose(secondary_rate(buffer, pose, every, mesh, MICROSCOPE), product, rtol=1e-12)
 
 
 def test_the_yield_of_the_material_is_interpolated_between_vertices():
     mesh = plane(width=10.0, vertex_yield=np.array([1.0, 2.0, 3.0, 4.0]))  # 1 + (x + 10)/20 + 2 (y + 10)/20
     buffer, pose = view(mesh)
     x, y = buffer.position_um[..., 0], buffer.position_um[..., 1]
-    assert np.allclose(electron_rate(buffer, pose, OFF, mesh, MICROSCOPE), 1 + (x + 10) / 20 + (y + 10) / 10)
+    assert np.allclose(secondary_rate(buffer, pose, OFF, mesh, MICROSCOPE), 1 + (x + 10) / 20 + (y + 10) / 10)
 
 
 def test_beside_the_specimen_there_is_background():
     mesh = plane(width=2.0)
     buffer, pose = view(mesh)
-    rate = electron_rate(buffer, pose, replace(OFF, background=0.07), mesh, MICROSCOPE)
+    rate = secondary_rate(buffer, pose, replace(OFF, background=0.07), mesh, MICROSCOPE)
     assert (rate[buffer.miss] == 0.07).all()
     assert (rate[~buffer.miss] == 1.0).all()
     assert 0 < buffer.miss.mean() < 1
+
+
+def test_the_brightness_of_a_tilted_plane_is_the_yield_law():
+    """All effects on, at their defaults but for the side detector: a plane has no edges and hides nothing."""
+    options = replace(SignalOptions(), asymmetry=0.0, yield_exponent=1.1)
+    for tilt_deg in (0.0, 20.0, 40.0, 60.0, 80.0):
+        buffer, pose = view(plane(), tilt_deg, 30.0)
+        expected = min(np.cos(np.radians(tilt_deg)) ** -1.1, options.max_yield)
+        assert np.allclose(secondary_rate(buffer, pose, options, plane(), MICROSCOPE), expected, rtol=1e-9)
+
+
+def test_a_groove_is_darker_and_an_edge_brighter_than_a_flat_by_the_stated_amounts():
+    """The amounts of docs/physics.md: a trench 4 um wide and 8 um deep with upright walls, pixels of 0.1 um."""
+    mesh, microscope = trench(2.0, 8.0), Microscope(0.1, 240, 60)
+    buffer, pose = view(mesh, microscope=microscope)
+    x, rate = buffer.position_um[30, :, 0], {}
+    for detector in ("everhart-thornley", "in-lens"):
+        options = replace(SignalOptions(), asymmetry=0.0, detector=detector)
+        rate[detector] = secondary_rate(buffer, pose, options, mesh, microscope)[30]
+    flat, bottom = np.abs(x) > 11, np.abs(x) < 0.2
+    edge = np.abs(np.abs(x) - 2.05) < 0.02
+    assert edge.sum() == 2
+    for look, dark, bright in (("everhart-thornley", 0.55, 1.38), ("in-lens", 0.46, 1.58)):
+        assert rate[look][flat] == pytest.approx(1.0, abs=1e-9)
+        assert rate[look][bottom].mean() == pytest.approx(dark, abs=0.02)
+        assert rate[look][edge].mean() == pytest.approx(bright, abs=0.02)
+
+
+def test_an_in_lens_detector_favours_no_side():
+    buffer, pose = view(groove(4.0, 3.0))
+    sides = (replace(SignalOptions(), detector="in-lens", detector_azimuth_deg=azimuth) for azimuth in (0.0, 90.0))
+    first, second = (secondary_rate(buffer, pose, options, groove(4.0, 3.0), MICROSCOPE) for options in sides)
+    assert np.array_equal(first, second)
+    left, right = (np.abs(buffer.position_um[18, :, 0] - x).argmin() for x in (-2.125, 2.125))
+    assert first[18, left] == pytest.approx(first[18, right], rel=0.01)
+
+
+@given(st.floats(0, 1), st.floats(0, 3))
+def test_an_in_lens_detector_keeps_off_switches_off_and_strengthens_what_is_on(shadowing, edge_strength):
+    stated = SignalOptions(shadowing=shadowing, edge_strength=edge_strength)
+    assert as_seen(stated) == stated
+    seen = as_seen(replace(stated, detector="in-lens"))
+    assert seen.asymmetry == 0
+    assert seen.edge_strength == 1.5 * edge_strength
+    assert 1 - seen.shadowing == pytest.approx((1 - shadowing) ** 2)
+
+
+def test_channels_stand_in_their_order():
+    buffer, pose = view(plane())
+    both = replace(OFF, backscatter=BackscatterOptions(segments=3))
+    assert list(electron_rates(buffer, pose, OFF, plane(), MICROSCOPE)) == ["se"]
+    assert list(electron_rates(buffer, pose, both, plane(), MICROSCOPE)) == ["se", "bse_a", "bse_b", "bse_c", "bse"]
 
 
 @given(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.floats(-25, 25))
@@ -181,7 +245,10 @@ def test_shadowing_takes_its_share(share):
     assert shadow_response(np.array([1.0, 0.0]), share).tolist() == pytest.approx([1.0, 1.0 - share])
 
 
-@pytest.mark.parametrize(("key", "value"), [("asymmetry", 1.5), ("max_yield", 0.5), ("shadowing", float("nan"))])
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("asymmetry", 1.5), ("max_yield", 0.5), ("shadowing", float("nan")), ("edge_strength", -1.0), ("detector", "bse")],
+)
 def test_options_out_of_range_are_named(key, value):
     with pytest.raises(InputError, match=key):
         SignalOptions(**{key: value})

@@ -21,13 +21,19 @@ from semsim.mesh import Mesh
 from semsim.specimens import (
     SPECIMENS,
     Diatom,
+    Fracture,
+    Grains,
     HeightMapFile,
     MeshFile,
     Plane,
     Pollen,
+    Pyramid,
     Sphere,
+    Spheres,
     Step,
+    Steps,
     Wedge,
+    Wires,
     build,
     specimen_from,
 )
@@ -39,12 +45,18 @@ from semsim.specimens.substrate import visible_median_um
 QUICK = {
     "pollen": Pollen(edge_um=1.3),
     "diatom": Diatom(edge_um=1.3),
+    "fracture": Fracture(edge_um=2.0),
+    "grains": Grains(edge_um=18.0, mineral_contrast=0.0),
+    "wires": Wires(edge_um=1.4),
+    "spheres": Spheres(sagitta_um=0.1, edge_um=4.0),
+    "pyramid": Pyramid(edge_um=4.0),
+    "steps": Steps(edge_um=4.0),
     "plane": Plane(edge_um=4.0, slope_direction_deg=30.0),
     "step": Step(edge_um=4.0),
     "sphere": Sphere(subdivisions=4),
     "wedge": Wedge(edge_um=4.0),
 }
-ANALYTIC = ["plane", "step", "sphere", "wedge"]
+ANALYTIC = ["plane", "step", "sphere", "wedge", "pyramid", "steps"]
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +152,7 @@ def test_texture_off_leaves_the_shape_alone(meshes: dict[str, Mesh], name: str) 
     np.testing.assert_array_equal(plain.vertices_um, meshes[name].vertices_um)
 
 
-@pytest.mark.parametrize("name", ["pollen", "diatom"])
+@pytest.mark.parametrize("name", ["pollen", "diatom", "fracture", "grains", "wires", "spheres"])
 def test_the_median_visible_height_is_the_gauge(meshes: dict[str, Mesh], name: str) -> None:
     mesh, specimen = meshes[name], QUICK[name]
     rng = np.random.default_rng(0)

@@ -8,7 +8,7 @@ from semsim.errors import InputError
 from semsim.mesh import Mesh
 from semsim.microscope import Microscope, TiltSchedule, pixel_grid, pixel_rays, poses, project
 from semsim.raycast import RayCaster
-from semsim.surface import barycentric, surface_buffer
+from semsim.surface import barycentric, interpolate, surface_buffer
 
 SPHERE_PX = Microscope(2.4 / 200, 200, 180)
 
@@ -46,12 +46,12 @@ def brute_force(mesh: Mesh, origins: np.ndarray, directions: np.ndarray) -> np.n
     return answer
 
 
-@pytest.mark.parametrize("working_distance_um", [None, 30.0])
+@pytest.mark.parametrize(("backend", "working_distance_um"), [("zbuffer", None), ("raycast", None), ("raycast", 30.0)])
 @pytest.mark.parametrize("tilt_deg", [0.0, 20.0])
-def test_a_plane_is_met_where_the_formula_says(tilted_plane, working_distance_um, tilt_deg):
+def test_a_plane_is_met_where_the_formula_says(tilted_plane, backend, working_distance_um, tilt_deg):
     microscope = Microscope(0.1, 40, 30, working_distance_um)
     pose = poses(TiltSchedule((tilt_deg,), 30.0, ((0.4, -0.3),)))[0]
-    buffer = surface_buffer(tilted_plane, microscope, pose)
+    buffer = surface_buffer(tilted_plane, microscope, pose, backend)
     x, y, z = np.moveaxis(buffer.position_um, -1, 0)
     assert not buffer.miss.any()
     assert np.abs(z - (0.3 * x - 0.2 * y + 1)).max() < 1e-9
@@ -147,14 +147,43 @@ def test_opengl_sees_the_right_side_of_an_overhang():
     assert differs.sum() <= 2
 
 
+def test_left_to_itself_it_draws_where_it_can_and_casts_rays_elsewhere(ball):
+    pose, beam = poses(TiltSchedule((7.0,)))[0], pixel_grid(SPHERE_PX) + 0.25
+    far = Microscope(2.4 / 200, 200, 180, working_distance_um=1e9)
+    for microscope, beam_px, backend in (
+        (SPHERE_PX, None, "zbuffer"),
+        (far, None, "raycast"),
+        (SPHERE_PX, beam, "raycast"),
+    ):
+        auto = surface_buffer(ball, microscope, pose, beam_px=beam_px)
+        named = surface_buffer(ball, microscope, pose, backend, beam_px=beam_px)
+        assert np.array_equal(auto.depth_um, named.depth_um, equal_nan=True)
+
+
+def test_where_corner_normals_cancel_the_triangle_answers(ball):
+    """A sheet and its own back share corners, whose normals cancel."""
+    corners = np.array([[-9.0, -9.0, 0.0], [9.0, -9.0, 0.0], [0.0, 9.0, 0.0]])
+    folded = Mesh(corners, np.array([[0, 1, 2], [0, 2, 1]], dtype=np.int32))
+    buffer = surface_buffer(folded, SPHERE_PX, poses(TiltSchedule((0.0,)))[0])
+    assert np.allclose(buffer.normal, [0.0, 0.0, 1.0])
+
+
+def test_normals_are_those_interpolated_between_corners(ball):
+    buffer = surface_buffer(ball, SPHERE_PX, poses(TiltSchedule((8.0,)))[0])
+    smooth = interpolate(ball, ball.vertex_normals, buffer.face, buffer.position_um)
+    smooth /= np.linalg.norm(smooth, axis=-1, keepdims=True)
+    assert np.nanmax(np.abs(buffer.normal - smooth)) < 1e-12
+
+
 def test_unknown_backends_and_impossible_views_are_refused(ball):
     pose = poses(TiltSchedule((0.0,)))[0]
     near = Microscope(0.01, 64, 64, working_distance_um=0.5)
-    with pytest.raises(InputError, match="raycast, pyrender"):
+    with pytest.raises(InputError, match="auto, zbuffer, raycast, pyrender"):
         surface_buffer(ball, SPHERE_PX, pose, "mitsuba")
     with pytest.raises(InputError, match="working_distance_um"):
         surface_buffer(ball, near, pose)
     with pytest.raises(InputError, match="parallel"):
         surface_buffer(ball, Microscope(0.01, 64, 64, 100.0), pose, "pyrender")
-    with pytest.raises(InputError, match="displaced"):
-        surface_buffer(ball, SPHERE_PX, pose, "pyrender", beam_px=pixel_grid(SPHERE_PX))
+    for backend in ("zbuffer", "pyrender"):
+        with pytest.raises(InputError, match=f"{backend}.*displaced"):
+            surface_buffer(ball, SPHERE_PX, pose, backend, beam_px=pixel_grid(SPHERE_PX))

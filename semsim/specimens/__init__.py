@@ -15,22 +15,33 @@ import numpy as np
 from semsim.errors import InputError
 from semsim.mesh import Mesh
 from semsim.specimens.analytic import Plane, Sphere, Step, Wedge
+from semsim.specimens.artefacts import Pyramid, Steps
 from semsim.specimens.diatom import Diatom
 from semsim.specimens.files import HEIGHT_MAP_SUFFIXES, HeightMapFile, MeshFile
+from semsim.specimens.fracture import Fracture
+from semsim.specimens.grains import Grains
 from semsim.specimens.options import checked_options
 from semsim.specimens.pollen import Pollen
+from semsim.specimens.spheres import Spheres
+from semsim.specimens.wires import Wires
 
 __all__ = [
     "SPECIMENS",
     "Diatom",
+    "Fracture",
+    "Grains",
     "HeightMapFile",
     "MeshFile",
     "Plane",
     "Pollen",
+    "Pyramid",
     "Specimen",
     "Sphere",
+    "Spheres",
     "Step",
+    "Steps",
     "Wedge",
+    "Wires",
     "build",
     "specimen_from",
 ]
@@ -45,7 +56,20 @@ class Specimen(Protocol):
         """Return the mesh; the same state of the generator gives the same arrays."""
 
 
-SPECIMENS: tuple[Any, ...] = (Pollen, Diatom, Plane, Step, Sphere, Wedge)
+SPECIMENS: tuple[Any, ...] = (
+    Pollen,
+    Diatom,
+    Fracture,
+    Grains,
+    Wires,
+    Spheres,
+    Pyramid,
+    Steps,
+    Plane,
+    Step,
+    Sphere,
+    Wedge,
+)
 
 
 def specimen_from(options: Mapping[str, Any], base_dir: Path | None = None) -> Specimen:

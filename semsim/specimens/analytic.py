@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from semsim.mesh import Mesh
 from semsim.specimens.noise import speckle
 from semsim.specimens.options import require_positive, require_within
-from semsim.specimens.sheet import slab
+from semsim.specimens.sheet import Faces, slab
 
 Array = NDArray[np.float64]
 
-_THICKNESS_UM = 5.0
+THICKNESS_UM = 5.0
+_SAGITTA = 0.292  # depth of the deepest face of an icosphere in radii, times 4^subdivisions: an upper bound
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +55,7 @@ class Flats:
 
     def _mesh(self, x_um: Array, z_um: Array, rng: np.random.Generator) -> Mesh:
         """Return the closed, speckled slab under heights (nx, ny) over the axis x and the standard axis y."""
-        vertices, faces = slab(x_um, self._axis(), z_um, _THICKNESS_UM)
+        vertices, faces = slab(x_um, self._axis(), z_um, THICKNESS_UM)
         return Mesh(vertices, faces, speckle(vertices, self.contrast, self.grain_um, rng))
 
 
@@ -183,7 +184,7 @@ class Sphere:
     @property
     def sagitta_um(self) -> float:
         """Depth of the deepest face under the sphere, 0.292 R / 4^n at most for n subdivisions."""
-        return 0.292 * self.radius_um / 4.0**self.subdivisions
+        return _SAGITTA * self.radius_um / 4.0**self.subdivisions
 
     def height_um(self, x_um: Array, y_um: Array) -> Array:
         """Return the height of the upper half over points of one shape; NaN off the ball."""
@@ -193,11 +194,21 @@ class Sphere:
 
     def __call__(self, rng: np.random.Generator) -> Mesh:
         """Return the ball."""
-        import trimesh
-
-        ball = trimesh.creation.icosphere(subdivisions=self.subdivisions)
-        directions = np.asarray(ball.vertices, dtype=np.float64)
-        vertices = self.radius_um * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        vertices, faces = ball(self.radius_um, self.subdivisions)
         vertices[:, 2] += self.centre_z_um
-        faces = np.asarray(ball.faces, dtype=np.int32)
         return Mesh(vertices, faces, speckle(vertices, self.contrast, self.grain_um, rng))
+
+
+def ball(radius_um: float, subdivisions: int) -> tuple[Array, Faces]:
+    """Return a sphere about the origin, an icosahedron subdivided: vertices on the sphere, and 20 x 4^n faces."""
+    import trimesh
+
+    sphere = trimesh.creation.icosphere(subdivisions=subdivisions)
+    directions = np.asarray(sphere.vertices, dtype=np.float64)
+    vertices = radius_um * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return vertices, np.asarray(sphere.faces, dtype=np.int32)
+
+
+def subdivisions_for(radius_um: float, sagitta_um: float) -> int:
+    """Return the fewest subdivisions of a `ball` none of whose faces is deeper than `sagitta_um` under the sphere."""
+    return max(int(np.ceil(np.log(_SAGITTA * radius_um / sagitta_um) / np.log(4.0))), 0)

@@ -68,6 +68,9 @@ class HeightMapFile:
         Spacing of columns and rows. None takes it from the npz, where it may be a pair (x, y).
     height_scale
         Factor on the heights: where measured relief is too small for parallax. Say so where the result is used.
+    smooth_um
+        Standard deviation of a Gaussian that averages the heights before anything else: the lines and the noise of a
+        measurement show in a micrograph long before they show in its heights. Holes stay holes. 0 leaves them alone.
     contrast, grain_um
         Speckle of the electron yield: standard deviation as a fraction, and width.
     """
@@ -76,12 +79,15 @@ class HeightMapFile:
     file: Path
     pixel_size_um: float | None = None
     height_scale: float = 1.0
+    smooth_um: float = 0.0
     contrast: float = 0.0
     grain_um: float = 1.0
 
     def __post_init__(self) -> None:
         if self.pixel_size_um is not None:
             _require_positive(self.file, "pixel_size_um", self.pixel_size_um)
+        if not (np.isfinite(self.smooth_um) and self.smooth_um >= 0):
+            raise InputError(f"smooth_um of {self.file} must be a number of um, 0 or more; it is {self.smooth_um:g}")
 
     def __call__(self, rng: np.random.Generator) -> Mesh:
         """Return the open surface about the origin, median height at 0; cells with a NaN corner are left out."""
@@ -89,6 +95,7 @@ class HeightMapFile:
         rows, columns = z_um.shape
         x_um = step_x * (np.arange(columns) - (columns - 1) / 2)
         y_um = step_y * (np.arange(rows) - (rows - 1) / 2)
+        z_um = _smoothed(z_um, (self.smooth_um / step_y, self.smooth_um / step_x))
         heights = self.height_scale * (z_um - np.nanmedian(z_um))
         vertices, faces = sheet(x_um, y_um, heights[::-1].T)  # the last row of the image has the lowest y
         vertices, faces = _measured_part(vertices, faces)
@@ -179,6 +186,18 @@ def _read_tiff(path: Path) -> Array:
     if values.dtype.kind != "f":
         raise InputError(f"{path} holds {values.dtype} grey values; a height map is a TIFF of float32 heights in um")
     return np.asarray(values, dtype=np.float64)
+
+
+def _smoothed(z_um: Array, sigma_px: tuple[float, float]) -> Array:
+    """Return heights (rows, columns) averaged by a Gaussian over what was measured; NaN stays NaN."""
+    from scipy.ndimage import gaussian_filter
+
+    if max(sigma_px) == 0:
+        return z_um
+    known = np.isfinite(z_um)
+    total = gaussian_filter(np.where(known, z_um, 0.0), sigma_px)
+    weight = gaussian_filter(known.astype(np.float64), sigma_px)
+    return np.where(known, total / np.where(known, weight, 1.0), np.nan)
 
 
 def _measured_part(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:

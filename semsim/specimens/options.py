@@ -19,6 +19,14 @@ def require_positive(specimen: Any, *options: str) -> None:
             raise InputError(f"{option} of specimen {specimen.name!r} must be a positive number; it is {value:g}")
 
 
+def require_not_negative(specimen: Any, *options: str) -> None:
+    """Raise `InputError` unless each of these options of a specimen is 0 or a positive, finite number."""
+    for option in options:
+        value = getattr(specimen, option)
+        if not (np.isfinite(value) and value >= 0):
+            raise InputError(f"{option} of specimen {specimen.name!r} must not be negative; it is {value:g}")
+
+
 def require_within(specimen: Any, option: str, low: float, high: float) -> None:
     """Raise `InputError` unless an option of a specimen lies from `low` to `high`."""
     value = getattr(specimen, option)

@@ -11,7 +11,9 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
 
-def sheet(x_um: Array, y_um: Array, z_um: Array) -> tuple[Array, Faces]:
+def sheet(
+    x_um: Array, y_um: Array, z_um: Array, other_diagonal: NDArray[np.bool_] | None = None
+) -> tuple[Array, Faces]:
     """Return the open mesh of heights over the crossings of two rising axes, seen from above.
 
     Parameters
@@ -20,6 +22,8 @@ def sheet(x_um: Array, y_um: Array, z_um: Array) -> tuple[Array, Faces]:
         (nx,) and (ny,). A repeated value of x makes an upright wall between the two columns of heights.
     z_um
         (nx, ny).
+    other_diagonal
+        (nx - 1, ny - 1) cells that are cut from high x and low y to low x and high y; None cuts all the other way.
 
     Returns
     -------
@@ -30,12 +34,25 @@ def sheet(x_um: Array, y_um: Array, z_um: Array) -> tuple[Array, Faces]:
     vertices = np.column_stack([x.ravel(), y.ravel(), z_um.ravel()])
     corner = np.arange(x.size, dtype=np.int32).reshape(x.shape)
     a, b, c, d = corner[:-1, :-1].ravel(), corner[1:, :-1].ravel(), corner[1:, 1:].ravel(), corner[:-1, 1:].ravel()
+    if other_diagonal is not None:
+        turned = other_diagonal.ravel()
+        a, b, c, d = (np.where(turned, p, q) for p, q in ((b, a), (c, b), (d, c), (a, d)))
     return vertices, np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
 
 
-def slab(x_um: Array, y_um: Array, z_um: Array, thickness_um: float) -> tuple[Array, Faces]:
-    """Return the closed mesh of a sheet with upright sides and a flat bottom `thickness_um` below its lowest point."""
-    vertices, faces = sheet(x_um, y_um, z_um)
+def welded(vertices_um: Array, faces: Faces) -> tuple[Array, Faces]:
+    """Return a mesh with vertices at one and the same place made one, and the faces that this collapses left out."""
+    places, position = np.unique(vertices_um, axis=0, return_inverse=True)
+    faces = position.ravel()[faces].astype(np.int32)
+    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return places, faces[whole]
+
+
+def slab(
+    x_um: Array, y_um: Array, z_um: Array, thickness_um: float, other_diagonal: NDArray[np.bool_] | None = None
+) -> tuple[Array, Faces]:
+    """Return the closed mesh of a sheet: upright sides, and a flat bottom `thickness_um` below its lowest point."""
+    vertices, faces = sheet(x_um, y_um, z_um, other_diagonal)
     corner = np.arange(z_um.size, dtype=np.int32).reshape(z_um.shape)
     # counter-clockwise seen from above, each corner once
     rim = np.concatenate([corner[:-1, 0], corner[-1, :-1], corner[:0:-1, -1], corner[0, :0:-1]])

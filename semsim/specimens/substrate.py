@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,27 +27,32 @@ class Substrate:
         Extent along x and y, about the origin.
     edge_um
         Grid spacing.
+    coarseness
+        Factor on the size of drops, crumbs and relief, for specimens much smaller or larger than a pollen grain.
     """
 
     width_um: float = 190.0
     height_um: float = 160.0
     edge_um: float = 0.6
+    coarseness: float = 1.0
 
     def __call__(self, level_um: float, rng: np.random.Generator) -> tuple[Array, Faces]:
         """Return a closed slab whose upper face lies about `level_um`: (vertices, 3) and (faces, 3)."""
         x_um = np.linspace(-self.width_um / 2, self.width_um / 2, max(int(self.width_um / self.edge_um), 2))
         y_um = np.linspace(-self.height_um / 2, self.height_um / 2, max(int(self.height_um / self.edge_um), 2))
         x, y = np.meshgrid(x_um, y_um, indexing="ij")
-        points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+        points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) / self.coarseness
         rough = 0.5 * solid_noise(points, 25.0, seed_of(rng)) + 0.06 * solid_noise(points, 2.0, seed_of(rng), octaves=2)
-        z_um = level_um + rough.reshape(x.shape) + self._drops(x_um, y_um, rng)
+        relief = rough.reshape(x.shape) + self._drops(x_um / self.coarseness, y_um / self.coarseness, rng)
+        z_um = level_um + self.coarseness * relief
         return slab(x_um, y_um, z_um, thickness_um=5.0)
 
     def _drops(self, x_um: Array, y_um: Array, rng: np.random.Generator) -> Array:
-        """Return the heights of round drops strewn over the carrier, many small and few large, (nx, ny)."""
+        """Return the heights of round drops over a carrier of coarseness 1, many small and few large, (nx, ny)."""
         z_um = np.zeros((len(x_um), len(y_um)))
-        count = int(self.width_um * self.height_um / 30.0)
-        places = rng.uniform(-0.5, 0.5, size=(count, 2)) * (self.width_um, self.height_um)
+        width, height = self.width_um / self.coarseness, self.height_um / self.coarseness
+        count = int(width * height / 30.0)
+        places = rng.uniform(-0.5, 0.5, size=(count, 2)) * (width, height)
         radii = np.minimum(0.7 * rng.pareto(2.5, size=count) + 0.6, 3.0)
         for (cx, cy), radius in zip(places, radii, strict=True):
             i = slice(*np.searchsorted(x_um, (cx - radius, cx + radius)))
@@ -93,9 +99,17 @@ def _raise_to(top: Array, vertices: Array, faces: Faces, origin: Array, step: fl
                     top[i, j] = max(top[i, j], a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2]))
 
 
+def joined(parts: Sequence[Part]) -> Part:
+    """Put closed bodies into one list of vertices and one of faces, unwelded."""
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    vertices_um = np.vstack([vertices for vertices, _ in parts])
+    return vertices_um, np.vstack([faces + start for (_, faces), start in zip(parts, first[:-1], strict=True)]).astype(
+        np.int32
+    )
+
+
 def mounted(specimen: Part, carrier: Part, width_um: float, height_um: float) -> Mesh:
     """Put two closed bodies into one mesh, unwelded, and bring the median visible height of the frame to 0."""
-    vertices_um = np.vstack([specimen[0], carrier[0]])
-    faces = np.vstack([specimen[1], carrier[1] + len(specimen[0])]).astype(np.int32)
+    vertices_um, faces = joined([specimen, carrier])
     vertices_um[:, 2] -= visible_median_um(vertices_um, faces, width_um, height_um)
     return Mesh(vertices_um, faces)
