@@ -96,14 +96,26 @@ def _truth(rows: Sequence[Row]) -> str:
     rmse = {name: _mean(rows, name, "rmse_um") for name in contenders_of(rows, "rmse_um")}
     if not depth or not rmse:
         return ""
-    best_depth, best_rmse = min(depth, key=lambda name: depth[name]), min(rmse, key=lambda name: rmse[name])
+    best_depth, best_rmse = _first(depth), _first(rmse)
     errors = ", ".join(f"{name} {value:.3f}" for name, value in depth.items())
-    agreement = (
-        "RMSE ranks the same contender first"
-        if best_depth == best_rmse
-        else f"RMSE ranks {best_rmse} first: agreement of clouds with each other is not truth"
+    wrong = [name for name in best_rmse if name not in best_depth and name in depth]
+    said = f"Median absolute depth error against truth, um: {errors}. Truth ranks {_listed(best_depth)} first"
+    if not wrong:
+        return f"{said}, and so does RMSE."
+    ratio = max(depth[name] for name in wrong) / min(depth.values())
+    return (
+        f"{said}; RMSE ranks {_listed(best_rmse)} first, with {ratio:.1f} times the least depth error: "
+        "agreement of clouds with each other is not truth."
     )
-    return f"Median absolute depth error against truth, um: {errors}. Truth ranks {best_depth} first; {agreement}."
+
+
+def _first(means: Mapping[str, float]) -> list[str]:
+    """Contenders that nobody beats, within what counts as the same."""
+    return [name for name, value in means.items() if value <= min(means.values()) * (1 + SAME_PERCENT / 100)]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]} (alike)"
 
 
 def _no_truth() -> str:

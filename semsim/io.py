@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -149,12 +150,13 @@ def _write_view(capture: Capture, view: int, folder: Path) -> dict[str, Any]:
     channels = capture.channels[view] if capture.channels else {}
     if channels:
         table["channels"] = {name: f"view_{view:02d}_{name}.tif" for name in channels}
-    pictures = {table["image"]: capture.images[view]}
-    pictures |= {table["channels"][name]: image for name, image in channels.items()}
-    for name, image in pictures.items():
-        scene = capture.scene
-        picture = with_data_bar(image, scene.data_bar, scene.microscope, scene.name)
-        tifffile.imwrite(folder / name, picture, photometric="minisblack")
+    scene = capture.scene
+    recorded = [(table["image"], capture.images[view], scene.data_bar.detector)]
+    recorded += [(table["channels"][name], image, name.upper()) for name, image in channels.items()]
+    for file, image, detector in recorded:
+        bar = replace(scene.data_bar, detector=detector)
+        picture = with_data_bar(image, bar, scene.microscope, scene.name)
+        tifffile.imwrite(folder / file, picture, photometric="minisblack")
     return table
 
 

@@ -84,7 +84,7 @@ def test_truth_is_said_to_be_absent_on_real_images() -> None:
     )
     text = summary({"grain": found}, [], 60)
     assert "There is no truth" not in text
-    assert "RMSE ranks disparity_printed first: agreement of clouds" in text
+    assert "RMSE ranks disparity_printed first, with 10.0 times the least depth error: agreement of clouds" in text
 
 
 def test_published_figures_stand_beside_ours() -> None:
@@ -99,3 +99,13 @@ def test_rounding_is_not_called_spread() -> None:
     ]
     assert "The runs do not differ" in " ".join(verdicts(same, "grain"))
     assert "± 0 |" in table2([replace(row, metrics={**row.metrics, "points": 9.0}) for row in same])
+
+
+def test_contenders_that_are_alike_share_a_rank() -> None:
+    metrics = {
+        name: {"rmse_um": 1.0, "depth_median_um": depth}
+        for name, depth in (("proposed", 0.5), ("disparity_boyde", 0.505))
+    }
+    found = rows(disparity_printed={"rmse_um": 2.0, "depth_median_um": 2.0}, **metrics)
+    text = " ".join(verdicts(found, "pollen"))
+    assert "Truth ranks proposed and disparity_boyde (alike) first, and so does RMSE." in text
