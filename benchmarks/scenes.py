@@ -19,7 +19,8 @@ from benchmarks.runner import code_version, digest, seed_of
 from semrecon.data import Array, Mask, TiltSeries
 from semrecon.geometry import tilt_rotation
 from semsim.capture import Surfaces, expose, prepare
-from semsim.scene import Scene, scaled, scene, tables
+from semsim.scene import Scene, scaled, tables
+from semsim.scenes import scene
 from semsim.truth import GroundTruth
 
 Progress = Callable[[str, int, int], None]

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from semsim.microscope import Microscope, TiltSchedule
     from semsim.overrides import overridden
     from semsim.scan import ScanOptions
-    from semsim.scene import Scene, load_scene, scaled
+    from semsim.scene import Scene, scaled
+    from semsim.scenes import load_scene
     from semsim.signal import SignalOptions
     from semsim.spot import SpotOptions
     from semsim.truth import GroundTruth
@@ -59,7 +60,7 @@ _HOME = {
     "TiltSchedule": "microscope",
     "ViewErrors": "imperfections",
     "expose": "capture",
-    "load_scene": "scene",
+    "load_scene": "scenes",
     "overridden": "overrides",
     "prepare": "capture",
     "read_truth": "io",

@@ -108,14 +108,12 @@ def print_scene(
 @app.command()
 def scenes() -> None:
     """List the named scenes."""
-    from semsim.scene import NAMED, scene
+    from semsim.scenes import NAMED, geometry
 
     width = max(map(len, NAMED))
-    for made in map(scene, NAMED):
-        tilts = made.schedule.tilts_deg
-        said = ", ".join(f"{tilt:g}" for tilt in tilts)
-        short = said if len(tilts) <= 8 else f"{tilts[0]:g} to {tilts[-1]:g} in {len(tilts)} views"
-        typer.echo(f"{made.name:{width}}  {_size(made.microscope)}, tilts {short} degrees")
+    for name, known in NAMED.items():
+        typer.echo(f"{name:{width}}  {known.about}")
+        typer.echo(f"{'':{width}}  {geometry(known.microscope, known.schedule)}")
 
 
 @app.command()
@@ -172,7 +170,8 @@ def _backend(name: str) -> Backend:
 def _asked(name: str, settings: list[str] | None, scale: float) -> Scene:
     """Load a scene and change what the options say."""
     from semsim.overrides import assignment, overridden, value_of
-    from semsim.scene import load_scene, scaled
+    from semsim.scene import scaled
+    from semsim.scenes import load_scene
 
     scene = load_scene(name)
     if settings:

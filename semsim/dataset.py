@@ -20,7 +20,8 @@ from semsim.capture import simulate
 from semsim.errors import InputError
 from semsim.io import write_series
 from semsim.overrides import overridden
-from semsim.scene import Scene, load_scene, tables
+from semsim.scene import Scene, tables
+from semsim.scenes import load_scene
 from semsim.surface import Backend
 from semsim.variation import Variation
 

@@ -10,8 +10,9 @@ from typing import Any
 from semsim.capture import simulate
 from semsim.detector import Image
 from semsim.errors import InputError
-from semsim.scene import NAMED, Scene, scaled, scene
-from semsim.template import inline, summary
+from semsim.scene import Scene, scaled
+from semsim.scenes import NAMED, geometry, scene
+from semsim.template import inline
 
 PAIRED = ("pollen", "diatom")
 """Scenes shown by their first and their last view, which differ most in tilt."""
@@ -105,16 +106,9 @@ def _part(full: Scene, folder: Path, width_px: int) -> str:
 
 
 def _caption(full: Scene) -> str:
-    microscope, tilts = full.microscope, full.schedule.tilts_deg
-    said = (
-        ", ".join(f"{tilt:g}" for tilt in tilts)
-        if len(tilts) <= 8
-        else f"{len(tilts)} from {tilts[0]:g} to {tilts[-1]:g}"
-    )
-    size = f"{microscope.width_px} x {microscope.height_px} px of {microscope.pixel_size_um:.4g} um"
-    facts = f"{size}; tilts {said} degrees; {full.detector.dose_e:g} electrons a pixel."
+    facts = f"{geometry(full.microscope, full.schedule)}; {full.detector.dose_e:g} electrons a pixel."
     changed = [each for section in _sections(full) for each in section]
-    lines = [summary(type(full.specimen)), "", facts]
+    lines = [NAMED[full.name].about, "", facts]
     return "\n".join([*lines, *(["", f"Set: `{'`, `'.join(changed)}`."] if changed else [])])
 
 

@@ -18,7 +18,8 @@ from semsim.databar import with_data_bar
 from semsim.errors import InputError
 from semsim.mesh import Mesh
 from semsim.microscope import Pose, pixel_grid
-from semsim.scene import load_scene, tables
+from semsim.scene import tables
+from semsim.scenes import load_scene
 from semsim.surface import buffer_from_depth
 from semsim.truth import GroundTruth
 

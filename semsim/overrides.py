@@ -29,7 +29,7 @@ def overridden(scene: Scene, settings: Mapping[str, Any]) -> Scene:
 
     Examples
     --------
-    >>> from semsim.scene import scene
+    >>> from semsim.scenes import scene
     >>> overridden(scene("wedge"), {"detector.dose_e": 50}).detector.dose_e
     50.0
     """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -82,68 +81,6 @@ SECTIONS: dict[str, type] = {
     "data_bar": DataBarOptions,
 }
 """Tables of a scene's file that hold the fields of a dataclass."""
-
-
-POLLEN = (Microscope.from_data_bar(5, 34, 854, 640), TiltSchedule((0.0, 3.0, 6.0, 9.0)))
-DIATOM = (Microscope.from_data_bar(5, 60, 2560, 1920), TiltSchedule((0.0, -15.0, -30.0)))
-SMALL = (Microscope(0.5, 256, 192), TiltSchedule((0.0, 5.0, 10.0)))
-SAND = Microscope(1.2, 854, 640, working_distance_um=10_000.0)
-NEAR_SAND = Microscope(0.6, 854, 640, working_distance_um=5_000.0)
-NAMED = {
-    "pollen": POLLEN,
-    "diatom": DIATOM,
-    "fracture": (POLLEN[0], TiltSchedule((0.0, 5.0, 10.0))),
-    "grains": (SAND, TiltSchedule((-7.0, 0.0, 7.0))),
-    "spheres": (POLLEN[0], TiltSchedule((-10.0, 0.0, 10.0))),
-    "pyramid": (POLLEN[0], TiltSchedule((-8.0, 0.0, 8.0))),
-    "steps": (POLLEN[0], TiltSchedule((0.0, 7.0, 14.0))),
-    "wires": (POLLEN[0], TiltSchedule((-10.0, -5.0, 0.0, 5.0, 10.0))),
-    "translation": (NEAR_SAND, TiltSchedule((0.0,) * 7, 0.0, tuple((50.0 * i, 0.0) for i in range(7)))),
-    "plane": SMALL,
-    "step": SMALL,
-    "sphere": SMALL,
-    "wedge": SMALL,
-}
-"""Scenes by name. Pollen and diatom have the geometry of the seed paper's Table 1. Sand is seen at 124x, in
-perspective; in `translation` the stage only slides, which has parallax in perspective alone (docs/conventions.md)."""
-SANDS_SIGNAL = SignalOptions(shadow_reach_um=80.0)
-SIGNALS_OF = {"grains": SANDS_SIGNAL, "translation": SANDS_SIGNAL}
-"""Signals that differ from the default: pores of sand are ten times as wide as what the default looks for."""
-SPECIMENS_OF = {"translation": {"name": "grains", "frame_width_um": 1200.0, "frame_height_um": 400.0}}
-"""Specimens of the scenes that do not carry their specimen's name. A stage that slides needs a bed that reaches."""
-
-
-def scene(name: str) -> Scene:
-    """Make a named scene; raises InputError for a name that is not one."""
-    from semsim.specimens import specimen_from
-
-    if name not in NAMED:
-        raise InputError(f"no scene is called {name!r}; there are {', '.join(NAMED)}")
-    microscope, schedule = NAMED[name]
-    specimen = specimen_from(SPECIMENS_OF.get(name, {"name": name}))
-    return Scene(name, specimen, microscope, schedule, SIGNALS_OF.get(name, SignalOptions()))
-
-
-def load_scene(name_or_path: str | Path) -> Scene:
-    """Make a named scene, or read one from a TOML file.
-
-    Raises
-    ------
-    InputError
-        Neither; or a file that is not TOML, has an unknown or missing key, or a value out of range.
-    """
-    path = Path(name_or_path)
-    if str(name_or_path) in NAMED:
-        return scene(str(name_or_path))
-    if not path.is_file():
-        raise InputError(f"{path} is neither a TOML file nor a scene; the scenes are {', '.join(NAMED)}")
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-        return scene_from(table, path.stem, path.parent)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is not a TOML file: {error}") from error
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def scene_from(table: Mapping[str, Any], name: str = "scene", base_dir: Path | None = None) -> Scene:

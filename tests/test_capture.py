@@ -28,7 +28,8 @@ from semsim.io import read_ply, read_truth, require_free, write_ply, write_serie
 from semsim.mesh import Mesh
 from semsim.microscope import Microscope, TiltSchedule, pixel_grid, poses
 from semsim.scan import ScanOptions
-from semsim.scene import NAMED, Scene, load_scene, scaled, scene, scene_from, tables
+from semsim.scene import Scene, scaled, scene_from, tables
+from semsim.scenes import NAMED, load_scene, scene
 from semsim.spot import SpotOptions, blur_by_spot
 
 

@@ -15,7 +15,7 @@ from semsim.capture import simulate
 from semsim.dataset import Sample, plan, render_dataset
 from semsim.errors import InputError
 from semsim.overrides import overridden
-from semsim.scene import load_scene, scene
+from semsim.scenes import load_scene, scene
 from semsim.variation import Variation, variation
 
 TINY = {"specimen.edge_um": 4.0, "microscope.width_px": 32, "microscope.height_px": 24, "schedule.tilts_deg": [0, 8]}

@@ -12,7 +12,7 @@ import tomli_w
 from PIL import Image
 
 from semsim.cli import main
-from semsim.scene import NAMED, load_scene, scene
+from semsim.scenes import NAMED, load_scene, scene
 from semsim.specimens import SPECIMENS
 
 SCENE = {
@@ -67,8 +67,9 @@ def test_the_settings_of_a_series_render_the_same_series_again(scene_file, tmp_p
 
 def test_scenes_and_specimens_are_listed(here):
     scenes, specimens = here("scenes").stdout.splitlines(), here("specimens").stdout
-    assert [line.split()[0] for line in scenes] == list(NAMED)
-    assert "2560 x 1920 px of 0.08333 um, tilts 0, -15, -30 degrees" in scenes[list(NAMED).index("diatom")]
+    assert [line.split()[0] for line in scenes[::2]] == list(NAMED)
+    assert "2560 x 1920 px of 0.08333 um, tilts 0, -15, -30 degrees" in scenes[2 * list(NAMED).index("diatom") + 1]
+    assert "7 views, shifted, all at tilt 0 degrees" in scenes[2 * list(NAMED).index("translation") + 1]
     for kind in SPECIMENS:
         assert f"\n{kind.name}: " in f"\n{specimens}"
     assert "rise_um=10.0" in specimens

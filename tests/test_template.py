@@ -9,7 +9,8 @@ import pytest
 from semsim import template
 from semsim.errors import InputError
 from semsim.overrides import assignment, overridden, setting, value_of
-from semsim.scene import NAMED, Scene, load_scene, scene, tables
+from semsim.scene import Scene, tables
+from semsim.scenes import NAMED, load_scene, scene
 from semsim.specimens import SPECIMENS
 from semsim.template import commented_table, commented_toml, explanations, inline, unit
 
