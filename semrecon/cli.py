@@ -14,7 +14,10 @@ from semrecon import DEFAULT_METHOD
 from semrecon.errors import InputError, MethodError
 
 if TYPE_CHECKING:
-    from semrecon.intake import Intake
+    from rich.table import Table
+
+    from semrecon.data import Image
+    from semrecon.intake import Facts, Intake
     from semrecon.reconstruction import Reconstruction
 
 BAD_INPUT = 2
@@ -40,9 +43,14 @@ TiltAxis = Annotated[
 ]
 PixelSize = Annotated[float | None, typer.Option(help="Edge of a pixel in micrometres; wins over the files.")]
 FlipTilt = Annotated[bool, typer.Option("--flip-tilt", help="Count tilts the other way: turns the relief inside out.")]
-Crop = Annotated[int, typer.Option("--crop-bottom", help="Rows to cut off at the bottom of every image (a data bar).")]
+Crop = Annotated[
+    int | None,
+    typer.Option(help="Rows to cut off at the bottom of every image; unset, a data bar that is certain; 0 is none."),
+]
 Seed = Annotated[int, typer.Option(help="Seed of the random choices; the same seed gives the same surface.", min=0)]
 Rerun = Annotated[bool, typer.Option("--rerun", help="Also write reconstruction.rrd for the rerun viewer.")]
+Also = Annotated[str | None, typer.Option(help="Further formats to write, with commas between: stl, xyz, sdf, x3p.")]
+Mesh = Annotated[str, typer.Option(help="How to make the mesh: triangles of the reference view, or poisson (smooth).")]
 
 
 @app.command()
@@ -54,9 +62,11 @@ def reconstruct(
     tilt_axis_deg: TiltAxis = None,
     pixel_size_um: PixelSize = None,
     flip_tilt: FlipTilt = False,
-    crop_bottom: Crop = 0,
+    crop_bottom: Crop = None,
     seed: Seed = 0,
     rerun: Rerun = False,
+    also: Also = None,
+    mesh: Mesh = "triangles",
 ) -> None:
     """Reconstruct a height map, a point cloud and a mesh.
 
@@ -64,12 +74,16 @@ def reconstruct(
     them, and from the options, which win.
     """
     with one_sentence():
-        from semrecon.export import check_out, write_reconstruction
+        from semrecon.export import check_formats, check_out, write_reconstruction
         from semrecon.intake import Stated, take_in
         from semrecon.methods import method_named
         from semrecon.pipeline import reconstruct as run
+        from semrecon.poisson import check_meshing, with_mesh
 
         check_out(out)
+        formats = tuple(part.strip().lower() for part in also.split(",")) if also else ()
+        check_formats(formats)
+        check_meshing(mesh)
         chosen = method_named(method)
         with progress() as tell:
             tell("reading images")
@@ -78,36 +92,60 @@ def reconstruct(
             result = run(
                 intake.series, chosen, seed=seed, working_distance_um=intake.working_distance_um, progress=tell
             )
+            tell("mesh")
+            result = with_mesh(result, mesh)
             tell("writing")
             result = _with_intake(result, intake)
-            files = write_reconstruction(result, out, rerun=rerun)
+            files = write_reconstruction(result, out, rerun=rerun, also=formats)
         _say_done(result, out, files)
 
 
 @app.command()
 def info(inputs: Inputs) -> None:
-    """Show what images, or a series folder, state of themselves."""
+    """Show what images, or a series folder, state of themselves, where it was read, and what looks wrong."""
     with one_sentence():
         from rich.console import Console
-        from rich.table import Table
 
+        from semrecon.doubts import doubts
         from semrecon.images import read_image
         from semrecon.intake import facts_of
 
         facts = facts_of(inputs)
-        table = Table("image", "size px", "depth", "pixel um", "tilt deg", "axis deg", "WD mm", "stated by", box=None)
-        for entry, one in zip(facts.entries, facts.stated, strict=True):
-            image = read_image(facts.folder / entry.image)
-            wd_mm = None if one.working_distance_um is None else one.working_distance_um / 1000
-            numbers = [one.pixel_size_um, one.tilt_deg, one.tilt_axis_deg, wd_mm]
-            size, depth = f"{image.shape[1]} x {image.shape[0]}", f"{8 * image.dtype.itemsize} bit"
-            shown = ["-" if number is None else f"{number:.5g}" for number in numbers]
-            table.add_row(entry.image, size, depth, *shown, one.source or "-")
+        images = [read_image(facts.folder / entry.image) for entry in facts.entries]
         console = Console()
         console = console if console.is_terminal else Console(width=200)
-        console.print(table)
-        for sentence in (sentence for one in facts.stated for sentence in one.warnings):
+        console.print(_info_table(facts, images))
+        for line in _read_from(facts):
+            typer.echo(line)
+        for sentence in doubts(facts, images):
             typer.echo(f"warning: {sentence}", err=True)
+
+
+def _info_table(facts: Facts, images: list[Image]) -> Table:
+    """One row an image."""
+    from rich.table import Table
+
+    heads = ("image", "size px", "depth", "pixel um", "tilt deg", "axis deg", "WD mm", "stated by", "detector")
+    table = Table(*heads, box=None)
+    for entry, one, image in zip(facts.entries, facts.stated, images, strict=True):
+        wd_mm = None if one.working_distance_um is None else one.working_distance_um / 1000
+        numbers = [one.pixel_size_um, one.tilt_deg, one.tilt_axis_deg, wd_mm]
+        size, depth = f"{image.shape[1]} x {image.shape[0]}", f"{8 * image.dtype.itemsize} bit"
+        shown = ["-" if number is None else f"{number:.5g}" for number in numbers]
+        table.add_row(entry.image, size, depth, *shown, one.source or "-", one.detector)
+    return table
+
+
+def _read_from(facts: Facts) -> list[str]:
+    """Say once for each kind of file which entry each value was read from."""
+    spoken: dict[str, dict[str, str]] = {}
+    for one in facts.stated:
+        if one.tags:
+            spoken.setdefault(one.source, {}).update(one.tags)
+    return [
+        f"{source}: " + ", ".join(f"{field} from {tag}" for field, tag in tags.items())
+        for source, tags in spoken.items()
+    ]
 
 
 @app.command()

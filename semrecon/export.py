@@ -3,21 +3,36 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from semrecon.data import Array
+from semrecon.errors import InputError
 from semrecon.folder import check_target, whole_folder
 from semrecon.ply import write_ply
 from semrecon.reconstruction import SCHEMA, Reconstruction, report
+from semrecon.sdf import write_sdf
+from semrecon.stl import write_stl
+from semrecon.x3p import write_x3p
+from semrecon.xyz import write_xyz
 
 FILES = ("height.tif", "sigma.tif", "points.ply", "mesh.ply", "report.json", "summary.png")
 RECORDING = "reconstruction.rrd"
+MORE: dict[str, tuple[str, Callable[[Reconstruction, Path], None]]] = {
+    "stl": ("mesh.stl", lambda result, path: write_stl(path, result.mesh)),
+    "xyz": ("points.xyz", lambda result, path: write_xyz(path, result.points)),
+    "sdf": ("height.sdf", lambda result, path: write_sdf(path, result.heights)),
+    "x3p": ("height.x3p", lambda result, path: write_x3p(path, result.heights)),
+}
+"""Further formats by name, each with its file in the folder and its writer."""
 
 
-def write_reconstruction(result: Reconstruction, out: Path | str, *, rerun: bool = False) -> tuple[Path, ...]:
-    """Write the reconstruction folder of docs/conventions.md.
+def write_reconstruction(
+    result: Reconstruction, out: Path | str, *, rerun: bool = False, also: Sequence[str] = ()
+) -> tuple[Path, ...]:
+    """Write the reconstruction folder of docs/output.md.
 
     Parameters
     ----------
@@ -25,6 +40,8 @@ def write_reconstruction(result: Reconstruction, out: Path | str, *, rerun: bool
         A new or empty folder, or a former reconstruction, which is then replaced as a whole.
     rerun
         Also write a recording for the rerun viewer.
+    also
+        Names of further formats, of `MORE`.
 
     Returns
     -------
@@ -33,11 +50,14 @@ def write_reconstruction(result: Reconstruction, out: Path | str, *, rerun: bool
     Raises
     ------
     InputError
-        The folder holds something else; it stays as it was.
+        The folder holds something else, which stays as it was, or a format is not known.
     """
     out = Path(out)
+    check_formats(also)
     with whole_folder(out, is_reconstruction) as folder:
         _write_arrays(result, folder)
+        for name, write in (MORE[name] for name in also):
+            write(result, folder / name)
         _write_report(result, folder / "report.json")
         _write_pictures(result, folder, rerun)
         names = sorted(path.name for path in folder.iterdir())
@@ -49,9 +69,16 @@ def check_out(out: Path | str) -> None:
     check_target(Path(out), is_reconstruction)
 
 
+def check_formats(names: Sequence[str]) -> None:
+    """Refuse a format that is not known, before any work is done; raises `InputError`."""
+    for name in names:
+        if name not in MORE:
+            raise InputError(f"--also knows the formats {', '.join(MORE)}, with commas between, not {name!r}")
+
+
 def is_reconstruction(folder: Path) -> bool:
     """Whether a folder holds a former reconstruction and nothing beside it."""
-    if not {path.name for path in folder.iterdir()} <= {*FILES, RECORDING}:
+    if not {path.name for path in folder.iterdir()} <= {*FILES, RECORDING, *(name for name, _ in MORE.values())}:
         return False
     try:
         content = json.loads((folder / "report.json").read_text(encoding="utf-8"))

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from semrecon.bottom import Bottom, bottom_of
 from semrecon.data import TiltSeries
 from semrecon.errors import InputError
 from semrecon.metadata import ImageMetadata, read_metadata
@@ -30,14 +31,14 @@ class Stated:
     flip_tilt
         Count tilts the other way: a relief that came out inside out turns right.
     crop_bottom_px
-        Rows to cut off at the bottom of every image.
+        Rows to cut off at the bottom of every image; None cuts off a data bar where one is certain, 0 nothing.
     """
 
     tilts_deg: tuple[float, ...] | None = None
     pixel_size_um: float | None = None
     tilt_axis_deg: float | None = None
     flip_tilt: bool = False
-    crop_bottom_px: int = 0
+    crop_bottom_px: int | None = None
 
 
 @dataclass(frozen=True)
@@ -83,17 +84,23 @@ class Facts:
     @property
     def pixel_size_um(self) -> float | None:
         """Pixel size of all images; None where one is silent or two differ."""
-        return _agreed((one.pixel_size_um for one in self.stated), SAME_PIXEL_SIZE)
+        return agreed((one.pixel_size_um for one in self.stated), SAME_PIXEL_SIZE)
 
     @property
     def tilt_axis_deg(self) -> float | None:
         """Tilt axis of all images; None where one is silent or two differ."""
-        return _agreed((one.tilt_axis_deg for one in self.stated), 0.0)
+        return agreed((one.tilt_axis_deg for one in self.stated), 0.0)
 
     @property
     def working_distance_um(self) -> float | None:
         """Working distance of the first image: it may drift a little from one to the next."""
         return self.stated[0].working_distance_um if self.stated else None
+
+    @property
+    def data_bar_px(self) -> int | None:
+        """Rows of the data bar of all images; None where one is silent or two differ."""
+        claims = {one.data_bar_px for one in self.stated}
+        return claims.pop() if len(claims) == 1 else None
 
     @property
     def source(self) -> str:
@@ -111,11 +118,21 @@ def take_in(inputs: Sequence[Path], stated: Stated | None = None) -> Intake:
     """
     stated = stated or Stated()
     facts = facts_of(inputs)
-    series = series_from_file(facts.folder, _merge(stated, facts), stated.crop_bottom_px)
+    series = series_from_file(facts.folder, _merge(stated, facts), stated.crop_bottom_px or 0)
+    bottom = Bottom()
+    if stated.crop_bottom_px is None:
+        bottom = bottom_of([view.image for view in series.views], facts.data_bar_px, keep=facts.source == SERIES_FILE)
     warnings = [sentence for one in facts.stated for sentence in one.warnings]
-    return Intake(
-        series, facts.working_distance_um, _sources(stated, facts), (*warnings, *_contradictions(stated, facts))
-    )
+    warnings += [*_contradictions(stated, facts), *bottom.said]
+    series = _without_bottom(series, bottom.crop_px) if bottom.crop_px else series
+    return Intake(series, facts.working_distance_um, _sources(stated, facts), tuple(warnings))
+
+
+def _without_bottom(series: TiltSeries, rows: int) -> TiltSeries:
+    """Cut rows off the bottom of every view of plain files, which have no channels."""
+    height_px = series.optics.height_px - rows
+    views = tuple(replace(view, image=view.image[:height_px]) for view in series.views)
+    return replace(series, views=views, optics=replace(series.optics, height_px=height_px))
 
 
 def facts_of(inputs: Sequence[Path]) -> Facts:
@@ -143,7 +160,7 @@ def _facts_of_folder(folder: Path) -> Facts:
     return Facts(folder, settings.view, tuple(replace(common, tilt_deg=view.tilt_deg) for view in settings.view))
 
 
-def _agreed(values: Iterable[float | None], tolerance: float) -> float | None:
+def agreed(values: Iterable[float | None], tolerance: float) -> float | None:
     """Take the value that all state within a relative tolerance."""
     all_values = list(values)
     known = [value for value in all_values if value is not None]

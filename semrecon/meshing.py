@@ -39,7 +39,7 @@ def mesh_from_points(
     xyz = points.xyz_um if isinstance(points, PointCloud) else points
     xyz = xyz[np.isfinite(xyz).all(axis=1)]
     faces = triangulate((xyz @ rotation.T)[:, :2] * [1.0, -1.0], limits)
-    return _compact(xyz, faces)
+    return compact(xyz, faces)
 
 
 def mesh_from_heights(
@@ -76,7 +76,7 @@ def mesh_from_heights(
     translation = np.zeros(3) if translation_um is None else translation_um
     xy_px = np.stack([column, row], axis=-1).astype(np.float64)
     xyz = back_project(xy_px, -z_um, rotation, translation, optics)
-    return _compact(xyz.reshape(-1, 3), _grid_faces(np.isfinite(z_um)))
+    return compact(xyz.reshape(-1, 3), _grid_faces(np.isfinite(z_um)))
 
 
 def height_map_from_points(
@@ -185,7 +185,7 @@ def _grid_faces(valid: Mask) -> Faces:
     return np.concatenate([np.stack([a[ok], b[ok], c[ok]], axis=1) for a, b, c, ok in triangles])
 
 
-def _compact(xyz_um: Array, faces: Faces) -> SurfaceMesh:
+def compact(xyz_um: Array, faces: Faces) -> SurfaceMesh:
     """Leave out vertices that no face uses."""
     used = np.zeros(len(xyz_um), dtype=np.bool_)
     used[faces] = True

@@ -1,124 +1,124 @@
-"""What the microscope wrote into an image file: pixel size, stage tilt, working distance. One reader a vendor."""
+"""What the microscope wrote into an image file, or beside it: pixel size, stage tilt, working distance, detector."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from semrecon.images import TIFF_MARKS, quiet
+from semrecon.vendors.base import ImageMetadata, Size
+from semrecon.vendors.fei import fei
+from semrecon.vendors.hitachi import hitachi, is_hitachi
+from semrecon.vendors.jeol import is_jeol, jeol
+from semrecon.vendors.tescan import tescan_header, tescan_tag
+from semrecon.vendors.text import sidecar
+from semrecon.vendors.zeiss import zeiss
 
-UM_PER_UNIT = {"fm": 1e-9, "pm": 1e-6, "nm": 1e-3, "um": 1.0, "µm": 1.0, "μm": 1.0, "mm": 1e3, "m": 1e6}
-"""Micrometres of a length unit; the micro sign has two code points, and files use both."""
+__all__ = ["ImageMetadata", "read_metadata", "zeiss"]
 
-
-@dataclass(frozen=True)
-class ImageMetadata:
-    """What one file states; None where it is silent.
-
-    Parameters
-    ----------
-    pixel_size_um
-        Of the pixels as stored.
-    tilt_deg
-        Of the stage.
-    tilt_axis_deg
-        Direction of the stage's tilt axis in the stored image: 0 is up, 90 is right.
-    working_distance_um
-        From the lens to the focus.
-    source
-        Who says so, for messages; empty where the file says nothing.
-    warnings
-        Sentences about settings that spoil the geometry.
-    """
-
-    pixel_size_um: float | None = None
-    tilt_deg: float | None = None
-    tilt_axis_deg: float | None = None
-    working_distance_um: float | None = None
-    source: str = ""
-    warnings: tuple[str, ...] = ()
+ZEISS_TAG, FEI_TAG, TESCAN_TAG = 34118, 34682, 50431
+AGREE = 1e-3
+"""Relative difference up to which a file and its sidecar say the same."""
 
 
 def read_metadata(path: Path | str) -> ImageMetadata:
-    """Read what a microscope wrote into a file; all None for other files. Damage is left to `read_image` to report."""
+    """Read what a microscope wrote into a file or beside it; all None for other files.
+
+    A block in the file wins over a sidecar. Damage to the picture is left to `read_image` to report.
+    """
+    path = Path(path)
+    inside = _from_tags(path)
+    if inside.source and not inside.source.startswith("TESCAN"):
+        return inside
+    beside = _from_sidecar(path)
+    if not inside.source:
+        return replace(beside, warnings=(*inside.warnings, *beside.warnings))
+    return replace(inside, warnings=(*inside.warnings, *_disagreements(inside, beside, path.name)))
+
+
+def _from_tags(path: Path) -> ImageMetadata:
+    """Read the vendor's tag of a TIFF."""
     import tifffile
 
-    path = Path(path)
     with quiet():
         try:
             with path.open("rb") as file:
                 if file.read(4) not in TIFF_MARKS:
                     return ImageMetadata()
             with tifffile.TiffFile(path) as tiff:
-                page = tiff.pages[0]
-                tags = tiff.sem_metadata
-                return zeiss(tags, (page.imagewidth, page.imagelength), path.name) if tags else ImageMetadata()
-        except (OSError, ValueError, IndexError, tifffile.TiffFileError):
+                return _from_page(tiff, path.name)
+        except OSError:
             return ImageMetadata()
+        except Exception:  # a damaged block can trip the parser anywhere
+            return ImageMetadata(warnings=(f"{path.name} holds metadata that cannot be read; none of it is used",))
 
 
-def zeiss(tags: Mapping[str, Any], size_px: tuple[int, int], name: str) -> ImageMetadata:
-    """Read the SmartSEM block of a Zeiss microscope.
-
-    "Image Pixel Size" belongs to the stored pixels ("Pixel Size" to 1024 columns); the stage is "Stage at T" ("Tilt
-    Angle" is the setting of the tilt correction).
-
-    Parameters
-    ----------
-    tags
-        Name to (label, value[, unit]), as tifffile parses them.
-    size_px
-        Columns and rows of the stored image.
-    name
-        File name, for warnings.
-    """
-    return ImageMetadata(
-        pixel_size_um=_length_um(tags.get("ap_image_pixel_size")),
-        tilt_deg=_number(tags.get("ap_stage_at_t")),
-        tilt_axis_deg=_zeiss_axis(tags, size_px),
-        working_distance_um=_length_um(tags.get("ap_wd")),
-        source="Zeiss metadata",
-        warnings=_zeiss_warnings(tags, name),
-    )
+def _from_page(tiff: Any, name: str) -> ImageMetadata:
+    page = tiff.pages[0]
+    size_px = (page.imagewidth, page.imagelength)
+    if ZEISS_TAG in page.tags:
+        return zeiss(_whole_entries(tiff), size_px, name)
+    if FEI_TAG in page.tags:
+        return fei(_raw(tiff, page.tags[FEI_TAG]), size_px, name)
+    if TESCAN_TAG in page.tags:
+        return tescan_tag(_raw(tiff, page.tags[TESCAN_TAG]), size_px, name)
+    return ImageMetadata()
 
 
-def _zeiss_axis(tags: Mapping[str, Any], size_px: tuple[int, int]) -> float | None:
-    """Axis along the scan lines, unless the stored image is the scanned one turned by a quarter.
-
-    Which way it was turned is not recorded, and the direction of the axis only changes the sign of the relief.
-    """
-    rotated = _text(tags.get("dp_scan_rot")) == "True" and (_number(tags.get("ap_scanrotation")) or 0.0) % 360 != 0
-    if rotated or _text(tags.get("dp_stage_tilted")) != "in X":
-        return None
-    try:
-        scanned = tuple(int(part) for part in _text(tags.get("dp_image_store")).split("*"))
-    except ValueError:
-        return None
-    turned = scanned == size_px[::-1] and scanned != size_px
-    return 0.0 if turned else 90.0
+def _whole_entries(tiff: Any) -> dict[str, Any]:
+    """Zeiss' entries as tifffile parses them, less the last one where its line has no end: it may be half a number."""
+    entries = dict(tiff.sem_metadata or {})
+    if entries and not _raw(tiff, tiff.pages[0].tags[ZEISS_TAG]).endswith((b"\n", b"\0")):
+        entries.popitem()
+    return entries
 
 
-def _zeiss_warnings(tags: Mapping[str, Any], name: str) -> tuple[str, ...]:
-    if _text(tags.get("dp_tilt_correction")) != "True":
-        return ()
-    return (f"{name} was taken with tilt correction on, which stretches the image; reconstructions expect it off",)
+def _raw(tiff: Any, tag: Any) -> bytes:
+    """Bytes of a tag as stored: tifffile's own parsers guess types, and stop at what they do not know."""
+    tiff.filehandle.seek(tag.valueoffset)
+    return bytes(tiff.filehandle.read(tag.valuebytecount))
 
 
-def _text(tag: Any) -> str:
-    return str(tag[1]).strip() if tag is not None and len(tag) > 1 else ""
+def _from_sidecar(path: Path) -> ImageMetadata:
+    """Read TESCAN's `.hdr`, or JEOL's or Hitachi's `.txt`."""
+    header, file = sidecar(path, ".hdr")
+    text, text_file = sidecar(path, ".txt")
+    jeols, hitachis = is_jeol(text), is_hitachi(text)
+    if not (b"PixelSizeX" in header or jeols or hitachis):
+        return ImageMetadata()
+    size_px = _size(path)
+    if size_px is None:
+        return ImageMetadata()
+    if b"PixelSizeX" in header:
+        return tescan_header(header, size_px, path.name, file)
+    return (jeol if jeols else hitachi)(text, size_px, path.name, text_file)
 
 
-def _number(tag: Any) -> float | None:
-    try:
-        return float(tag[1]) if tag is not None else None
-    except (TypeError, ValueError, IndexError):
-        return None
+def _size(path: Path) -> Size | None:
+    """Columns and rows, without decoding the picture."""
+    import PIL.Image
+    import tifffile
+
+    with quiet():
+        try:
+            with tifffile.TiffFile(path) as tiff:
+                return tiff.pages[0].imagewidth, tiff.pages[0].imagelength
+        except Exception:  # no TIFF, or a damaged one
+            try:
+                with PIL.Image.open(path) as picture:
+                    return picture.size
+            except Exception:  # `read_image` says what is wrong with it
+                return None
 
 
-def _length_um(tag: Any) -> float | None:
-    """Read a positive length with its unit; a zero is how microscopes say that they do not know."""
-    value = _number(tag)
-    unit = UM_PER_UNIT.get(str(tag[2]).strip()) if tag is not None and len(tag) > 2 else None
-    return value * unit if value is not None and unit is not None and value > 0 else None
+def _disagreements(inside: ImageMetadata, beside: ImageMetadata, name: str) -> list[str]:
+    """Write a sentence for each number that a sidecar states differently."""
+    said = []
+    for field, noun in (("pixel_size_um", "pixel size"), ("tilt_deg", "tilt")):
+        mine, theirs = getattr(inside, field), getattr(beside, field)
+        if mine is not None and theirs is not None and abs(mine - theirs) > AGREE * max(abs(mine), abs(theirs)):
+            said.append(
+                f"{name} states a {noun} of {mine:.5g} and {beside.source} one of {theirs:.5g}; the former is used"
+            )
+    return said

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from semrecon.data import Array, Estimate, HeightMap, PointCloud, SurfaceMesh, TiltSeries
+from semrecon.texture import surface_texture
 
 SCHEMA = "semrecon.reconstruction/1"
 """Mark by which a reconstruction folder knows its own kind."""
@@ -41,6 +42,8 @@ class Reconstruction:
         Wall-clock time of every stage.
     sources
         Who stated the pixel size and the tilts.
+    meshing
+        How the mesh was made: "triangles" of the reference view, or "poisson".
     """
 
     series: TiltSeries
@@ -54,6 +57,7 @@ class Reconstruction:
     seed: int | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     sources: tuple[str, ...] = ()
+    meshing: str = "triangles"
 
     @property
     def median_sigma_um(self) -> float:
@@ -90,6 +94,8 @@ def report(result: Reconstruction) -> dict[str, Any]:
         "counts": _counts(result),
         "residuals": _residuals(result),
         "heights": {"completeness": result.completeness, "relief_um": result.relief_um},
+        "texture": surface_texture(result.heights),
+        "meshing": result.meshing,
         "diagnostics": result.estimate.diagnostics,
         "warnings": result.warnings,
         "versions": versions(),

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from semrecon.correspondence import CorrespondenceOptions, PairMatches, match_adjacent_pairs, match_pairs
-from semrecon.data import Estimate, PointCloud, TiltSeries
-from semrecon.errors import MethodError
+from semrecon.data import Estimate, PointCloud, TiltSeries, Tracks
+from semrecon.errors import InputError, MethodError
 from semrecon.geometry import centred_um, rotations_from_tilts
 from semrecon.joint_translation import SeriesTranslation, solve_series
 from semrecon.methods.base import Gauge, Need
@@ -22,6 +22,7 @@ from semrecon.methods.pair_clouds import (
     register_pair_clouds,
     skew_warnings,
 )
+from semrecon.refinement import Refinement, RefinementOptions, refine
 from semrecon.robust import NoiseFit, fit_noise
 from semrecon.tracks import join_matches
 from semrecon.translation import solve_closed_form
@@ -44,12 +45,19 @@ class KnownRotation:
         a cloud for each adjacent pair (generalised inverse, Eqs. 4 to 6), brought together by registration.
     reject_sigmas
         Leave out points whose reprojection error is as unlikely as so many standard deviations.
+    refine
+        Adjust tilts, tilt axis, magnification and rotation in the plane of the views to the images, starting from what
+        is stated (bundle adjustment); only with merge "poses".
+    refinement
+        What is adjusted, and how well it is known beforehand.
     """
 
     correspondence: CorrespondenceOptions = field(default_factory=CorrespondenceOptions)
     pairs: Literal["all", "adjacent"] = "all"
     merge: Literal["poses", "icp"] = "poses"
     reject_sigmas: float = 3.5
+    refine: bool = False
+    refinement: RefinementOptions = field(default_factory=RefinementOptions)
 
     name: ClassVar[str] = "known_rotation"
     citation: ClassVar[str] = (
@@ -58,6 +66,10 @@ class KnownRotation:
     needs: ClassVar[tuple[Need, ...]] = ("rotations", "pixel_size", "tilt_axis")
     views: ClassVar[tuple[int, int | None]] = (2, None)
     gauge: ClassVar[tuple[Gauge, ...]] = ("offset",)
+
+    def __post_init__(self) -> None:
+        if self.refine and self.merge != "poses":
+            raise InputError('option refine works on the poses of all views: it needs merge "poses", not "icp"')
 
     def __call__(self, series: TiltSeries, *, rng: np.random.Generator) -> Estimate:
         """Match the views, then reconstruct; raises `MethodError` with a sentence where it cannot."""
@@ -73,6 +85,8 @@ class KnownRotation:
     def _by_poses(self, series: TiltSeries, matches: Sequence[PairMatches]) -> Estimate:
         """Tracks over all views, all translations at once, one triangulation."""
         tracks = join_matches(matches, len(series))
+        if self.refine:
+            return self._by_refinement(series, matches, tracks)
         rotations = rotations_from_tilts(series.tilts_deg, series.tilt_axis_deg)
         solved = solve_series(tracks, rotations, series.optics, reference=series.reference)
         cloud = triangulate(tracks, solved.poses, series.optics, reference=series.reference)
@@ -88,6 +102,28 @@ class KnownRotation:
             pairs=pairs,
             diagnostics=match_diagnostics(series, matches) | _pose_diagnostics(views, noise, solved),
             warnings=skew_warnings(series, matches),
+        )
+
+    def _by_refinement(self, series: TiltSeries, matches: Sequence[PairMatches], tracks: Tracks) -> Estimate:
+        """Tracks over all views, all geometry at once; the heights belong to the refined pose of the reference view."""
+        options = replace(self.refinement, reject_sigmas=self.reject_sigmas)
+        refined = refine(
+            tracks,
+            series.tilts_deg,
+            series.optics,
+            tilt_axis_deg=series.tilt_axis_deg,
+            reference=series.reference,
+            options=options,
+        )
+        points = refined.points.keep(np.isfinite(refined.points.residual_px))
+        clouds, pairs = self._clouds(series, matches)
+        return Estimate(
+            points=points,
+            poses=refined.poses,
+            clouds=clouds,
+            pairs=pairs,
+            diagnostics=match_diagnostics(series, matches) | _refined_diagnostics(tracks, refined),
+            warnings=() if options.magnifications and options.rotations else skew_warnings(series, matches),
         )
 
     def _by_registration(self, series: TiltSeries, matches: Sequence[PairMatches]) -> Estimate:
@@ -158,4 +194,32 @@ def _pose_diagnostics(views: np.ndarray, noise: NoiseFit, solved: SeriesTranslat
         "rank": solved.rank,
         "condition": solved.condition,
         "depth_gauge": list(solved.gauge),
+    }
+
+
+def _refined_diagnostics(tracks: Tracks, refined: Refinement) -> dict[str, Any]:
+    """Geometry as refined, each number with its standard deviation, and what the images leave open."""
+    views = tracks.seen.sum(axis=1)
+    return {
+        "tracks": len(tracks),
+        "tracks_by_views": {str(n): int((views == n).sum()) for n in np.unique(views)},
+        "rejected": int((~np.isfinite(refined.points.xyz_um).all(axis=1)).sum()),
+        "sigma_px": refined.sigma_px,
+        "refinement": {
+            "tilts_deg": refined.tilts_deg,
+            "tilt_sigma_deg": refined.tilt_sigma_deg,
+            "tilt_steps_deg": np.diff(refined.tilts_deg),
+            "tilt_step_sigma_deg": refined.tilt_step_sigma_deg,
+            "tilt_axis_deg": refined.tilt_axis_deg,
+            "tilt_axis_sigma_deg": refined.axis_sigma_deg,
+            "magnifications": refined.magnifications,
+            "magnification_sigma": refined.magnification_sigma,
+            "rotations_deg": refined.rotations_deg,
+            "rotation_sigma_deg": refined.rotation_sigma_deg,
+            "shifts_um": refined.shifts_um,
+            "shift_sigma_um": refined.shift_sigma_um,
+            "unobservable": refined.unobservable,
+            "iterations": refined.iterations,
+            "converged": refined.converged,
+        },
     }
