@@ -49,8 +49,8 @@ def paper(
 
     try:
         from benchmarks.paper import check_results_folder, run_paper
-        from benchmarks.runner import process_pool
         from benchmarks.scenes import RealSource, paper_scenes
+        from semsim.workers import process_pool
 
         check_results_folder(out)
         sources: list[Source] = list(paper_scenes(out / "cache", quick=quick))

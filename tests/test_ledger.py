@@ -104,7 +104,7 @@ def test_a_key_changes_with_every_part() -> None:
 
 POOL = """
 import os, sys, time
-from benchmarks.runner import process_pool
+from semsim.workers import process_pool
 
 if __name__ == "__main__":
     with process_pool(2) as executor:
