@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from semrecon.data import Optics, TiltSeries, View
+from semrecon.data import ChannelGeometry, Optics, TiltSeries, View
 from semsim.capture import Capture
+from semsim.io import nominal_channel_geometry
 
 
 def series_from_capture(capture: Capture, tilt_errors_deg: tuple[float, ...] = ()) -> TiltSeries:
@@ -29,8 +30,13 @@ def series_from_capture(capture: Capture, tilt_errors_deg: tuple[float, ...] = (
         0.0 if distance is None else 1.0 / distance,
     )
     others = capture.channels or ({},) * len(capture.images)
+    positions = schedule.shifts_um or (None,) * len(capture.images)
     views = tuple(
-        View(image, float(tilt), f"view_{i:02d}", channels=dict(channels))
-        for i, (image, tilt, channels) in enumerate(zip(capture.images, tilts, others, strict=True))
+        View(image, float(tilt), f"view_{i:02d}", channels=dict(channels), stage_um=position)
+        for i, (image, tilt, channels, position) in enumerate(
+            zip(capture.images, tilts, others, positions, strict=True)
+        )
     )
-    return TiltSeries(views, optics, schedule.tilt_axis_deg)
+    detectors = nominal_channel_geometry(capture.scene.signal.backscatter)
+    geometry = {name: ChannelGeometry(**angles) for name, angles in detectors.items()}
+    return TiltSeries(views, optics, schedule.tilt_axis_deg, geometry)

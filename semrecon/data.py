@@ -72,6 +72,9 @@ class View:
         True where the pixel may be used, (rows, columns); None means everywhere.
     channels
         Further detector signals recorded at the same pose, by name, each (rows, columns).
+    stage_um
+        Nominal stage position along camera x and y, um, such that a specimen moved by positive x appears farther
+        right and one moved by positive y farther down; only differences between views mean anything. None is unknown.
     """
 
     image: Image
@@ -79,12 +82,51 @@ class View:
     name: str = ""
     mask: Mask | None = None
     channels: Mapping[str, Image] = field(default_factory=dict)
+    stage_um: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.image.ndim != 2:
             raise InputError(f"{self.name or 'a view'} must be one grey image, not of shape {self.image.shape}")
         if not np.isfinite(self.tilt_deg):
             raise InputError(f"{self.name or 'a view'} has no tilt angle; give one in degrees for every image")
+        if self.stage_um is not None and not np.isfinite(self.stage_um).all():
+            raise InputError(f"{self.name or 'a view'} has a stage position that is no pair of numbers; leave it out")
+
+
+@dataclass(frozen=True)
+class ChannelGeometry:
+    """Where the detector of a channel nominally sits, seen from the specimen; fixed to the column, not to the stage.
+
+    Parameters
+    ----------
+    azimuth_deg
+        Direction towards it in the image, counter-clockwise from right as seen: 0 is right, 90 is up.
+    elevation_deg
+        Angle of that direction above the image plane: 0 is from the side, 90 along the beam. None is unknown.
+
+    Raises
+    ------
+    InputError
+        An angle that no detector can have.
+    """
+
+    azimuth_deg: float
+    elevation_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        if not abs(self.azimuth_deg) <= 360:
+            raise InputError(f"azimuth_deg must be an angle from -360 to 360 degrees, not {self.azimuth_deg:g}")
+        if self.elevation_deg is not None and not 0 <= self.elevation_deg <= 90:
+            raise InputError(f"elevation_deg must be an angle from 0 to 90 degrees, not {self.elevation_deg:g}")
+
+    @property
+    def direction(self) -> Array:
+        """Unit vector towards the detector in the view frame (x right, y up, z to the gun), (3,); NaN if unknown."""
+        azimuth, elevation = np.deg2rad(
+            [self.azimuth_deg, np.nan if self.elevation_deg is None else self.elevation_deg]
+        )
+        level = np.cos(elevation)
+        return np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
 
 
 @dataclass(frozen=True)
@@ -99,11 +141,14 @@ class TiltSeries:
         Pixel grid and projection.
     tilt_axis_deg
         Direction of the tilt axis in the image plane: 0 is up (world +y), 90 is right (world +x).
+    channel_geometry
+        Nominal direction of the detectors behind the views' `channels`, by the same names; those not known are absent.
     """
 
     views: tuple[View, ...]
     optics: Optics
     tilt_axis_deg: float = 0.0
+    channel_geometry: Mapping[str, ChannelGeometry] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for view in self.views:
@@ -249,6 +294,9 @@ class Estimate:
         Clouds of single pairs, each in the view frame of the pair's first view (`geometry.view_from_world`).
     pairs
         The view indices of each of `clouds`.
+    ties
+        Features that the poses rest on, in the world frame, where `points` are not those: their residuals tell how
+        well the poses fit.
     diagnostics
         Counts, residuals, conditions: numbers and short words, ready for `report.json`.
     warnings
@@ -260,5 +308,6 @@ class Estimate:
     poses: Poses | None = None
     clouds: tuple[PointCloud, ...] = ()
     pairs: tuple[tuple[int, int], ...] = ()
+    ties: PointCloud | None = None
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()

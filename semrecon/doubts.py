@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from semrecon.bottom import bottom_of
 from semrecon.data import Image
-from semrecon.intake import SAME_PIXEL_SIZE, SAME_TILT_DEG, Facts, agreed
+from semrecon.dead_lines import dead_lines_of, said_of
+from semrecon.duplicates import SAME_TILT_DEG
+from semrecon.intake import SAME_PIXEL_SIZE, Facts, agreed
 from semrecon.series import SERIES_FILE
 
 
@@ -32,4 +35,8 @@ def doubts(facts: Facts, images: Sequence[Image]) -> tuple[str, ...]:
     elif images:
         bottom = bottom_of(images, facts.data_bar_px, keep=facts.source == SERIES_FILE)
         said += [sentence.replace("and cropped;", "and will be cropped;") for sentence in bottom.said]
+        rows = len(images[0]) - bottom.crop_px
+        names = [Path(entry.image).name for entry in facts.entries]
+        found = [(name, dead_lines_of(image[:rows])) for name, image in zip(names, images, strict=True)]
+        said += [sentence.replace(", left out", ", will be left out") for sentence in said_of(found)]
     return tuple(dict.fromkeys(said))

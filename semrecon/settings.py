@@ -34,19 +34,26 @@ def read_toml(file: Path, kind: type[T]) -> T:
         content = tomllib.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(f"{file} does not exist") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise InputError(f"{file} cannot be read: {error.strerror}") from None
+    except RecursionError:
+        raise InputError(f"{file} is not valid TOML: its brackets are nested too deeply") from None
+    except ValueError as error:
         raise InputError(f"{file} is not valid TOML: {error}") from None
     try:
-        return _converter().structure(content, kind)
+        return strict_converter().structure(content, kind)
     except ClassValidationError as error:
         raise InputError(f"{file}: {_complaint(error)}") from None
 
 
-def _converter() -> cattrs.Converter:
-    """No unknown keys, no number in quotes, no text where a number belongs."""
+def strict_converter() -> cattrs.Converter:
+    """No unknown keys, no number in quotes, no text where a number belongs, no fraction where a count does."""
     converter = cattrs.Converter(forbid_extra_keys=True)
     converter.register_structure_hook(float, _strict_float)
     converter.register_structure_hook(str, _strict_str)
+    converter.register_structure_hook_func(lambda kind: kind == tuple[float, float], _strict_pair)
+    converter.register_structure_hook(int, _strict_int)
+    converter.register_structure_hook(bool, _strict_bool)
     return converter
 
 
@@ -54,6 +61,24 @@ def _strict_float(value: Any, _: type) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"must be a number, not {value!r}")
     return float(value)
+
+
+def _strict_pair(value: Any, kind: type) -> tuple[float, float]:
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise TypeError(f"must be two numbers, as [0.5, 2.0], not {value!r}")
+    return _strict_float(value[0], kind), _strict_float(value[1], kind)
+
+
+def _strict_int(value: Any, _: type) -> int:
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise TypeError(f"must be a whole number, not {value!r}")
+    return value
+
+
+def _strict_bool(value: Any, _: type) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError(f"must be true or false, not {value!r}")
+    return value
 
 
 def _strict_str(value: Any, _: type) -> str:

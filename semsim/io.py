@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from semsim import __version__
+from semsim.backscatter import BackscatterOptions
 from semsim.capture import Capture
 from semsim.databar import with_data_bar
 from semsim.errors import InputError
@@ -135,12 +136,35 @@ def _write_views(capture: Capture, folder: Path) -> None:
 
     microscope, schedule = capture.scene.microscope, capture.scene.schedule
     views = [_write_view(capture, i, folder) for i in range(len(capture.images))]
-    series = {"pixel_size_um": microscope.pixel_size_um, "tilt_axis_deg": schedule.tilt_axis_deg}
+    series: dict[str, Any] = {"pixel_size_um": microscope.pixel_size_um, "tilt_axis_deg": schedule.tilt_axis_deg}
     if microscope.working_distance_um is not None:
         series["working_distance_um"] = microscope.working_distance_um
+    if geometry := nominal_channel_geometry(capture.scene.signal.backscatter):
+        series["channel"] = geometry
     rows = capture.scene.data_bar.height_px
     note = f"# The lowest {rows} rows of every picture are a data bar: crop them.\n" if rows else ""
     (folder / "series.toml").write_text(note + tomli_w.dumps({**series, "view": views}), encoding="utf-8")
+
+
+def nominal_channel_geometry(backscatter: BackscatterOptions | None) -> dict[str, dict[str, float]]:
+    """Say where the segments of a backscatter detector sit, as a maker's drawing would; the whole ring has no side.
+
+    Returns
+    -------
+    For each segment `azimuth_deg`, counter-clockwise from image right to its middle, and `elevation_deg`, above the
+    image plane, of the middle between the inner and the outer edge of the ring.
+    """
+    if backscatter is None or backscatter.segments < 2:
+        return {}
+    elevation_deg = 90.0 - (backscatter.inner_deg + backscatter.outer_deg) / 2
+    step_deg = 360.0 / backscatter.segments
+    return {
+        f"bse_{letter}": {
+            "azimuth_deg": (backscatter.azimuth_deg + i * step_deg) % 360.0,
+            "elevation_deg": elevation_deg,
+        }
+        for i, letter in enumerate("abcd"[: backscatter.segments])
+    }
 
 
 def _write_view(capture: Capture, view: int, folder: Path) -> dict[str, Any]:
@@ -148,6 +172,8 @@ def _write_view(capture: Capture, view: int, folder: Path) -> dict[str, Any]:
     import tifffile
 
     table: dict[str, Any] = {"image": f"view_{view:02d}.tif", "tilt_deg": capture.scene.schedule.tilts_deg[view]}
+    if capture.scene.schedule.shifts_um:
+        table["stage_um"] = list(capture.scene.schedule.shifts_um[view])
     channels = capture.channels[view] if capture.channels else {}
     if channels:
         table["channels"] = {name: f"view_{view:02d}_{name}.tif" for name in channels}

@@ -197,6 +197,21 @@ def test_jeol_field_of_view_needs_no_marker() -> None:
     assert (data.pixel_size_um, data.tilt_deg, data.warnings) == (0.2, -3.0, ())
 
 
+@pytest.mark.parametrize(
+    ("stage", "tilt_deg"),
+    [
+        ("X=37.1761, Y=44.9344, R=354.9968, Z=16.90, T=-3.50", -3.5),
+        ("X=37.1761, Y=44.9344, R=354.9968, Z=16.90", None),
+        ("X=1, Y=2, R=3, Z=4, T=", None),
+        ("1 2 3 4", None),
+    ],
+)
+def test_jeol_stage_by_name_or_not_at_all(stage: str, tilt_deg: float | None) -> None:
+    text = JEOL + f"$CM_FIELD_OF_VIEW 32.0µm 24.0µm\n$CM_IMAGE_SIZE 160 120\n$CM_STAGE_POSITION {stage}\n"
+    data = jeol(text.encode(), SIZE, "a.tif", "a.txt")
+    assert (data.pixel_size_um, data.tilt_deg) == (0.2, tilt_deg)
+
+
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "cp1252"])
 def test_hitachi_sidecar_is_in_nanometres(tmp_path: Path, encoding: str) -> None:
     Image.fromarray(picture()).save(tmp_path / "a.tif")

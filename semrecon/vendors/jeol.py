@@ -7,7 +7,7 @@ from semrecon.vendors.text import complete_lines
 
 MARKS = ("$CM_", "$$SM_", "$SM_")
 TILT = 4
-"""Place of the tilt in the stage's x, y, z, rotation, tilt."""
+"""Place of the tilt in the stage's x, y, z, rotation, tilt where the axes are not named."""
 
 
 def is_jeol(block: bytes) -> bool:
@@ -27,18 +27,26 @@ def jeol(block: bytes, size_px: Size, name: str, file: str) -> ImageMetadata:
     pixel, rounding = _pixel_size(facts, grid, name)
     pixel, other_grid = same_grid(name, pixel, grid, size_px)
     stage_key = "CM_STAGE_POSITION" if "CM_STAGE_POSITION" in facts else "CM_STAGE_POS"
-    stage = facts.get(stage_key, "").split()
     bar = size_px[1] - grid[1] if grid and grid[0] == size_px[0] and size_px[1] > grid[1] else None
     return compose(
         name,
         f"JEOL {file}",
         pixel_size_um=pixel,
-        tilt_deg=Entry(number(stage[TILT]) if len(stage) > TILT else None, f"${stage_key}"),
+        tilt_deg=Entry(_tilt(facts.get(stage_key, "")), f"${stage_key}"),
         working_distance_um=Entry(length_um(facts.get("SM_WD"), "mm"), "SM_WD"),
         detector=(facts.get("CM_SIGNAL", ""), "$CM_SIGNAL"),
         data_bar_px=Entry(bar, f"${grid_key}"),
         warnings=(other_grid, rounding if pixel.value is not None else ""),
     )
+
+
+def _tilt(stage: str) -> float | None:
+    """Tilt of a stage position: by name (``X=37.2, Y=44.9, Z=16.9, T=3.0``) or by place (``0 0 0 0 3.5 0``)."""
+    if "=" in stage:
+        named = dict(part.strip().split("=", 1) for part in stage.split(",") if "=" in part)
+        return number(named.get("T"))
+    axes = stage.split()
+    return number(axes[TILT]) if len(axes) > TILT else None
 
 
 def _pixel_size(facts: dict[str, str], grid: Size | None, name: str) -> tuple[Entry, str]:
