@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,10 +15,11 @@ import pytest
 from numpy.typing import NDArray
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from semrecon.data import PointCloud
-from semrecon.geometry import tilt_rotation
+from semrecon.data import Optics, PointCloud, Tracks
+from semrecon.geometry import project, rotations_from_tilts, tilt_rotation
 from semrecon.icp import icp
 from semrecon.open3d_icp import icp_open3d
+from semrecon.refinement import refine
 from semrecon.translation import solve_closed_form, solve_generalised_inverse
 from semsim.capture import simulate
 from semsim.charging import ChargingOptions
@@ -66,6 +68,26 @@ def test_icp(benchmark: BenchmarkFixture, register: Callable[..., Any]) -> None:
     clouds = [PointCloud(each, np.zeros((5000, 3, 3)), z, xy) for each in (fixed @ STEP.T, fixed)]
     found = benchmark.pedantic(register, args=clouds, rounds=2)  # type: ignore[no-untyped-call]
     assert np.linalg.norm(found.rotation - STEP.T) < 0.1
+
+
+def tilted_tracks(points: int, views: int) -> tuple[Tracks, NDArray[Any], Optics]:
+    """Sightings at 0.3 px of a relief under tilts from -30 to 30 degrees that the stage states to 0.1 degree."""
+    rng, optics, stated = np.random.default_rng(0), Optics(0.147, 854, 640), np.linspace(-30.0, 30.0, views)
+    xyz = rng.uniform(-1, 1, (points, 3)) * [55.0, 42.0, 20.0]
+    xy = np.empty((points, views, 2))
+    for view, rotation in enumerate(rotations_from_tilts(stated + rng.normal(0, 0.1, views))):
+        xy[:, view] = project(xyz, rotation, np.append(rng.uniform(-5, 5, 2), 0.0), optics)
+    return Tracks(xy + rng.normal(0, 0.3, xy.shape)), stated, optics
+
+
+@pytest.mark.benchmark(group="bundle adjustment: points, tilts, axis, magnifications, rotations and shifts of 40 views")
+@pytest.mark.parametrize("points", [4_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_bundle_adjustment(benchmark: BenchmarkFixture, points: int) -> None:
+    """`-m slow` takes the size that matters; the highest that the process ever took stands beside it."""
+    refined = benchmark.pedantic(refine, args=tilted_tracks(points, 40), rounds=1)  # type: ignore[no-untyped-call]
+    benchmark.extra_info["peak_gib"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 3)
+    assert refined.converged
+    assert abs(refined.sigma_px - 0.3) < 0.01
 
 
 SHARP = Microscope(5 / 102, 2560, 1920)

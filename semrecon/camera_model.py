@@ -54,11 +54,16 @@ class Cameras:
         return Poses(rotations, np.pad(self.translations_um, ((0, 0), (0, 1))))
 
     @property
+    def magnifications(self) -> Array:
+        """M_v, (views,)."""
+        return np.asarray(np.exp(self.log_magnifications))
+
+    @property
     def distortions(self) -> Array:
         """M_v T(w_v), (views, 2, 2)."""
         c, s = np.cos(self.turns_rad), np.sin(self.turns_rad)
         turns = np.moveaxis(np.array([[c, -s], [s, c]]), 2, 0)
-        return np.asarray(np.exp(self.log_magnifications)[:, None, None] * turns)
+        return np.asarray(self.magnifications[:, None, None] * turns)
 
     @property
     def vector(self) -> Array:
@@ -100,7 +105,7 @@ def sightings_and_derivatives(xyz_um: Array, cameras: Cameras, k: float) -> tupl
     t_x, t_y, tilt, log magnification, turn and axis (points, views, 2, 6).
     """
     poses, distortions = cameras.poses, cameras.distortions
-    by_tilt, by_axis = _rotation_derivatives(cameras)
+    by_tilt, by_axis = rotation_derivatives(cameras)
     shifted = _apply(poses.rotations, xyz_um) + poses.translations_um
     scale = 1 + k * shifted[..., 2]
     flat = shifted[..., :2] / scale[..., None]
@@ -121,7 +126,7 @@ def _apply(matrices: Array, xyz_um: Array) -> Array:
     return np.asarray((xyz_um @ matrices.reshape(-1, 3).T).reshape(len(xyz_um), len(matrices), 3))
 
 
-def _rotation_derivatives(cameras: Cameras) -> tuple[Array, Array]:
+def rotation_derivatives(cameras: Cameras) -> tuple[Array, Array]:
     """dR/d(tilt) and dR/d(axis), (views, 3, 3) each.
 
     With the axis in the plane at phi, ``tilt(phi) = Z(-phi) tilt(0) Z(phi)``, Z a turn about world z.

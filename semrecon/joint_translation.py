@@ -21,12 +21,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numba
 import numpy as np
 
-from semrecon.data import Array, Optics, Poses, Tracks
+from semrecon.beams import Views, lengths_px, parallel_intersection
+from semrecon.data import Array, Mask, Optics, Poses, Tracks
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import centred_um
-from semrecon.normal_equations import multiply, normal_matrices, pseudo_inverses, right_sides
+from semrecon.normal_equations import multiply
+from semrecon.point_bands import in_bands
 
 Loss = Literal["cauchy", "squared"]
 
@@ -84,7 +87,7 @@ class _Round:
 
     translations: Array
     points: Array
-    observable: Array
+    observable: Mask
     rank: int
     condition: float
 
@@ -140,7 +143,7 @@ def solve_series(
         raise InputError(f"tracks cover {tracks.xy_px.shape[1]} views, but there are {len(rotations)} rotations")
     if np.linalg.matrix_rank(rotations[:, :2].reshape(-1, 3), tol=1e-6) < 3:
         raise MethodError("all views look along the same beam: without a tilt between them depth cannot be seen")
-    measured = np.nan_to_num(centred_um(tracks.xy_px, optics))
+    measured = np.where(tracks.seen[..., None], centred_um(tracks.xy_px, optics), 0.0)
     seen = tracks.seen.astype(np.float64)
     weights, positions = seen, measured
     last = np.full((len(rotations), 2), np.inf)
@@ -160,30 +163,63 @@ def solve_series(
 
 
 def _round(weights: Array, positions: Array, rotations: Array, reference: int) -> _Round:
-    projections = rotations[:, :2]
-    inverses, ranks = pseudo_inverses(normal_matrices(weights, projections))
-    reduced, right = _reduced_system(weights, projections, positions, inverses)
+    projections, standing = rotations[:, :2], np.zeros((len(rotations), 2))
+    untranslated, inverses, observable = _intersected(weights, positions, rotations, standing)
+    reduced, right = _reduced_system(weights, projections, positions, inverses, untranslated)
     translations, rank, condition = _solve_reduced(reduced, right)
     translations -= projections @ (projections[reference].T @ translations[reference])
-    points = multiply(inverses, right_sides(weights, projections, positions - translations))
-    beam, observable = rotations[reference, 2], ranks == 3
-    shift = -np.median(points[observable] @ beam) * beam
+    points, _, _ = _intersected(weights, positions, rotations, translations)
+    beam = rotations[reference, 2]
+    shift = -np.median(points[observable] @ beam) * beam if observable.any() else np.zeros(3)
     return _Round(translations - projections @ shift, points + shift, observable, rank, condition)
 
 
-def _reduced_system(weights: Array, projections: Array, positions: Array, inverses: Array) -> tuple[Array, Array]:
+def _intersected(weights: Array, positions: Array, rotations: Array, translations: Array) -> tuple[Array, Array, Mask]:
+    """Points ``N_i^-1 sum_v w_iv P_v^T (m_iv - t_v)``, the pseudo-inverses, and where depth is observable."""
+    return parallel_intersection(positions, weights, _views(rotations, translations))
+
+
+def _views(rotations: Array, translations: Array) -> Views:
+    """Parallel cameras whose pixels are um from the image centre."""
+    still = np.tile(np.eye(2), (len(rotations), 1, 1))
+    return Views(np.ascontiguousarray(rotations), np.pad(translations, ((0, 0), (0, 1))), still, np.zeros(2), 1.0, 0.0)
+
+
+def _reduced_system(
+    weights: Array, projections: Array, positions: Array, inverses: Array, untranslated: Array
+) -> tuple[Array, Array]:
     """S as (views, 2, views, 2) and g as (views, 2)."""
     views = len(projections)
     coupling = np.empty((3, 3, views, views))
-    for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
-        coupling[a, b] = coupling[b, a] = weights.T @ (inverses[:, a, b, None] * weights)
+    sums = sum(in_bands(lambda first, last: _coupled(weights, inverses, first, last), len(weights)))
+    for (a, b), lower in zip(
+        ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)), np.broadcast_to(sums, (6, views, views)), strict=True
+    ):
+        coupling[a, b] = coupling[b, a] = lower + np.tril(lower, -1).T
     reduced = -np.einsum("vxa,abvu,uyb->vxuy", projections, coupling, projections, optimize=True)
     index = np.arange(views)
     for axis in (0, 1):
         reduced[index, axis, index, axis] += weights.sum(axis=0)
-    untranslated = multiply(inverses, right_sides(weights, projections, positions))
     right = np.einsum("iv,ivx->vx", weights, positions) - multiply(projections, weights.T @ untranslated)
     return reduced, right
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract"})  # type: ignore[untyped-decorator]
+def _coupled(weights: Array, inverses: Array, first: int, last: int) -> Array:
+    """Sum ``w_iv N_i^-1 w_iu`` over a band of points: lower triangles over v, u of its six different elements."""
+    views = weights.shape[1]
+    sums = np.zeros((6, views, views))
+    for i in range(first, last):
+        n = inverses[i]
+        for v in range(views):
+            w = weights[i, v]
+            if not w > 0:
+                continue
+            for element, value in enumerate((n[0, 0], n[0, 1], n[0, 2], n[1, 1], n[1, 2], n[2, 2])):
+                row, factor = sums[element, v], w * value
+                for u in range(v + 1):
+                    row[u] += factor * weights[i, u]
+    return sums
 
 
 def _solve_reduced(reduced: Array, right: Array) -> tuple[Array, int, float]:
@@ -203,9 +239,7 @@ def _solve_reduced(reduced: Array, right: Array) -> tuple[Array, int, float]:
 
 def _residual_lengths(points: Array, translations: Array, positions: Array, rotations: Array) -> Array:
     """Distance of each sighting from its reprojection, um, (tracks, views)."""
-    projected = (points @ rotations[:, :2].reshape(-1, 3).T).reshape(positions.shape) + translations
-    misses = positions - projected
-    return np.asarray(np.sqrt(np.einsum("ivx,ivx->iv", misses, misses)))
+    return lengths_px(positions, points, _views(rotations, translations))
 
 
 def _scale(seen: Array, weights: Array, positions: Array, translations: Array, rotations: Array) -> float:
@@ -215,10 +249,9 @@ def _scale(seen: Array, weights: Array, positions: Array, translations: Array, r
     scale drawn from them would shrink from round to round until it vanished. Long tracks keep their weights, lest one
     wrong sighting be smeared over all.
     """
-    projections, views = rotations[:, :2], seen.sum(axis=1)
+    views = seen.sum(axis=1)
     steady = np.where((views >= LONG_TRACK)[:, None], weights, seen)
-    inverses, _ = pseudo_inverses(normal_matrices(steady, projections))
-    points = multiply(inverses, right_sides(steady, projections, positions - translations))
+    points, _, _ = _intersected(steady, positions, rotations, translations)
     lengths = _residual_lengths(points, translations, positions, rotations)
     expected = np.where(views > 2, RAYLEIGH_MEDIAN * np.sqrt(1 - 1.5 / np.maximum(views, 2)), PAIR_MEDIAN)
     return float(np.median((lengths / expected[:, None])[(seen > 0) & (views > 1)[:, None]]))

@@ -156,10 +156,11 @@ def without_outliers(points: PointCloud, rotation: Array = CAM_FROM_VIEW) -> Poi
     Parameters
     ----------
     points
-        Cloud, finite.
+        Cloud; points that are not finite are left out.
     rotation
         R_cam_from_world of the view, (3, 3).
     """
+    points = points.keep(np.asarray(np.isfinite(points.xyz_um).all(axis=1)))
     return points.keep(~statistical_outliers(points.xyz_um @ view_from_world(rotation).T))
 
 

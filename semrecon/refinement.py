@@ -14,17 +14,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from semrecon.beams import Views, lengths_px, views_of
 from semrecon.camera_model import LOCAL, Cameras
-from semrecon.data import Array, Mask, Optics, PointCloud, Poses, Tracks
+from semrecon.data import Array, Mask, Optics, PointCloud, Tracks
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import rotations_from_tilts
 from semrecon.joint_translation import CAUCHY, LEAST_SCALE_PX, LONG_TRACK, PAIR_MEDIAN, RAYLEIGH_MEDIAN, solve_series
-from semrecon.observability import unobservable
+from semrecon.observability import keystone_sigmas, unobservable
+from semrecon.refined_geometry import Refinement
 from semrecon.refinement_options import RefinementOptions
 from semrecon.robust import fit_noise
-from semrecon.schur import Reduced, blocks, linearised, reduced_equations
-from semrecon.triangulation import residuals_px, triangulate
+from semrecon.schur import Reduced, camera_share, reduced_equations
+from semrecon.triangulation import intersect, rms
 
 __all__ = ["Refinement", "RefinementOptions", "refine"]
 
@@ -42,59 +45,11 @@ LEAST_PIVOT = 1e-9
 """Diagonal elements below this part of the largest are scaled as if they were so large (a shift along the parallax)."""
 
 
-@dataclass(frozen=True)
-class Refinement:
-    """Refined geometry of a series with its uncertainty.
-
-    Parameters
-    ----------
-    poses
-        Of ideal cameras: they fit `tracks`, not the positions as measured.
-    tracks
-        Positions with magnification and rotation in the plane taken back, NaN where a sighting was left out.
-    tilts_deg, magnifications, rotations_deg, tilt_axis_deg
-        One a view (views,), and the axis common to all. Rotation counts from x to y of the image (clockwise as seen).
-    shifts_um
-        t_x, t_y of every view, (views, 2).
-    tilt_covariance_deg2
-        (views, views). Tilts share the uncertainty of their mean, so differences are better known than each.
-    tilt_sigma_deg, magnification_sigma, rotation_sigma_deg, shift_sigma_um, axis_sigma_deg
-        Posterior standard deviations, 0 for what is held.
-    points
-        One a track in the world frame, NaN where left out. Covariances hold the matching noise and the uncertainty of
-        the cameras: the exact block of the inverse normal matrix, to first order, the mean depth being held.
-    sigma_px
-        Noise of a sighting per coordinate, as estimated.
-    unobservable
-        Sentences: what the images do not say, and what holds it.
-    iterations, converged
-        Gauss-Newton steps taken, and whether the last one was negligible.
-    """
-
-    poses: Poses
-    tracks: Tracks
-    tilts_deg: Array
-    tilt_axis_deg: float
-    magnifications: Array
-    rotations_deg: Array
-    shifts_um: Array
-    tilt_covariance_deg2: Array
-    tilt_sigma_deg: Array
-    axis_sigma_deg: float
-    magnification_sigma: Array
-    rotation_sigma_deg: Array
-    shift_sigma_um: Array
-    points: PointCloud
-    sigma_px: float
-    unobservable: tuple[str, ...]
-    iterations: int
-    converged: bool
-
-    @property
-    def tilt_step_sigma_deg(self) -> Array:
-        """Standard deviation of the step from each view to the next, (views - 1,)."""
-        c = self.tilt_covariance_deg2
-        return np.asarray(np.sqrt(np.maximum(np.diag(c)[1:] + np.diag(c)[:-1] - 2 * np.diag(c, 1), 0.0)))
+LEAST_SPREAD_DEG = 0.05
+"""Least difference of the tilts: below, noise makes depths a thousand times as large as the image errors."""
+FARTHEST = 1.0
+"""Farthest that a tilt, an axis, a turn (rad) or a logarithm of a magnification may go: beyond, nothing is refined."""
+TOO_FEW = "too few matches agree to refine the views; check tilts and tilt axis, or do not refine"
 
 
 @dataclass(frozen=True)
@@ -152,12 +107,13 @@ def refine(
     """
     options = options or RefinementOptions()
     _check(tracks, tilts_deg, options)
+    tracks = Tracks(np.where(tracks.seen[..., None], tracks.xy_px, np.nan))
     reference = int(np.argmin(np.abs(tilts_deg))) if reference is None else reference
     nominal = rotations_from_tilts(tilts_deg, tilt_axis_deg)
     start = solve_series(tracks, nominal, optics, reference=reference, rounds=START_ROUNDS)
     problem = _problem(tracks, tilts_deg, tilt_axis_deg, optics, reference, options, start.poses.translations_um)
     weights = np.where(tracks.seen, start.weights, 0.0) if options.loss == "cauchy" else tracks.seen.astype(np.float64)
-    weights[~_solvable(tracks, weights, problem.stated, optics)] = 0.0
+    weights[~_solvable(problem, weights, problem.stated)] = 0.0
     size = len(problem.free)
     state = _State(problem.stated, weights, max(start.scale_px, LEAST_SCALE_PX), np.zeros((size, size)), np.inf, 0)
     if options.loss != "squared":
@@ -176,6 +132,13 @@ def refine(
 def _check(tracks: Tracks, tilts_deg: Array, options: RefinementOptions) -> None:
     if tracks.xy_px.shape[1] != len(tilts_deg):
         raise InputError(f"tracks cover {tracks.xy_px.shape[1]} views, but there are {len(tilts_deg)} tilts")
+    if not np.isfinite(tilts_deg).all():
+        raise InputError(f"every view needs a tilt in degrees to start from, not {list(tilts_deg)}")
+    if np.ptp(tilts_deg) < LEAST_SPREAD_DEG:
+        raise MethodError(
+            f"all views look along the same beam to {LEAST_SPREAD_DEG:g} degree: without a tilt between them there is "
+            "no depth to refine"
+        )
     for name in ("tilt_sigma_deg", "axis_sigma_deg", "magnification_sigma", "rotation_sigma_deg"):
         value = getattr(options, name)
         if not (np.isfinite(value) and value > 0):
@@ -237,14 +200,24 @@ def _step(problem: _Problem, state: _State) -> _State:
     sigma = np.sqrt(np.diag(covariance))
     relative = np.abs(step)[sigma > 0] / sigma[sigma > 0]
     last = float(relative.max(initial=0.0))
-    return replace(state, cameras=cameras.moved(step), covariance=covariance, last_step=last, steps=state.steps + 1)
+    moved = cameras.moved(step)
+    free_of_unit = np.delete(moved.vector - problem.stated.vector, _shifts(len(cameras)))
+    if not np.abs(free_of_unit).max() <= FARTHEST:
+        raise MethodError(TOO_FEW)
+    return replace(state, cameras=moved, covariance=covariance, last_step=last, steps=state.steps + 1)
+
+
+def _shifts(views: int) -> NDArray[np.intp]:
+    """Where the shifts stand in `Cameras.vector`, the only parameters with a unit, (2 views,)."""
+    return np.asarray(np.arange(LOCAL * views).reshape(views, LOCAL)[:, :2].ravel())
 
 
 def _reduced(problem: _Problem, state: _State) -> Reduced:
-    xyz = _intersect(problem, state.cameras, state.weights).xyz_um
+    xyz, _ = _intersect(problem, state.cameras, state.weights)
+    weights = np.where(np.isfinite(xyz).all(axis=1, keepdims=True), state.weights, 0.0)
     variance = (state.sigma_px * problem.optics.pixel_size_um) ** 2
     beam = state.cameras.poses.rotations[problem.reference, 2]
-    return reduced_equations(problem.tracks, state.weights / variance, xyz, state.cameras, problem.optics, beam)
+    return reduced_equations(problem.tracks, weights / variance, xyz, state.cameras, problem.optics, beam)
 
 
 def _solve(reduced: Reduced, right: Array, problem: _Problem) -> tuple[Array, Array]:
@@ -256,8 +229,11 @@ def _solve(reduced: Reduced, right: Array, problem: _Problem) -> tuple[Array, Ar
     depth = reduced.depth[free] * size
     basis = np.linalg.qr(depth[:, None], mode="complete")[0][:, 1:] * size[:, None]
     inner = basis.T @ matrix @ basis
-    if not np.isfinite(inner).all() or np.linalg.matrix_rank(inner, hermitian=True) < len(inner):
-        raise MethodError("too few matches agree to refine the views; check tilts and tilt axis, or do not refine")
+    if not np.isfinite(inner).all():
+        raise MethodError(TOO_FEW)
+    values = np.linalg.eigvalsh(inner)
+    if values[0] <= len(values) * np.finfo(float).eps * values[-1]:
+        raise MethodError(TOO_FEW)
     inverse = basis @ np.linalg.inv(inner) @ basis.T
     step, covariance = np.zeros(len(free)), np.zeros((len(free), len(free)))
     step[free] = inverse @ right[free]
@@ -269,23 +245,26 @@ def _depth_held(cameras: Cameras, problem: _Problem, weights: Array) -> Cameras:
     """Move the whole along the reference beam to median depth zero, and the shifts with it: no image changes."""
     rotations = cameras.poses.rotations
     beam = rotations[problem.reference, 2]
-    depth = np.nanmedian(_intersect(problem, cameras, weights).xyz_um @ beam)
+    depth = np.nanmedian(_intersect(problem, cameras, weights)[0] @ beam)
     return replace(cameras, translations_um=cameras.translations_um + depth * (rotations[:, :2] @ beam))
 
 
-def _intersect(problem: _Problem, cameras: Cameras, weights: Array, sigma_px: float = 1.0) -> PointCloud:
-    """Points of the sightings that count, NaN where too few do."""
-    corrected = cameras.corrected(problem.tracks, problem.optics)
-    counted = Tracks(np.where((weights > 0)[..., None], corrected.xy_px, np.nan))
-    noise = sigma_px / np.sqrt(np.where(weights > 0, weights, 1.0)) / np.exp(cameras.log_magnifications)
-    return triangulate(counted, cameras.poses, problem.optics, sigma_px=noise, reference=problem.reference)
+def _intersect(problem: _Problem, cameras: Cameras, weights: Array) -> tuple[Array, Array]:
+    """Points of the sightings that count, and their covariances for a noise of one pixel; NaN where too few do."""
+    return intersect(problem.tracks.xy_px, weights * cameras.magnifications**2, _views(problem, cameras))
 
 
 def _lengths_px(problem: _Problem, cameras: Cameras, weights: Array) -> Array:
     """Distance of every sighting, also of those that do not count, from its reprojection; NaN where there is none."""
-    xyz = _intersect(problem, cameras, weights).xyz_um
-    misses = residuals_px(cameras.corrected(problem.tracks, problem.optics), xyz, cameras.poses, problem.optics)
-    return np.asarray(np.linalg.norm(misses, axis=2) * np.exp(cameras.log_magnifications))
+    return _distances_px(problem, cameras, _intersect(problem, cameras, weights)[0])
+
+
+def _distances_px(problem: _Problem, cameras: Cameras, xyz_um: Array) -> Array:
+    return lengths_px(problem.tracks.xy_px, xyz_um, _views(problem, cameras)) * cameras.magnifications
+
+
+def _views(problem: _Problem, cameras: Cameras) -> Views:
+    return views_of(cameras.poses, problem.optics, np.asarray(np.linalg.inv(cameras.distortions)))
 
 
 def _scale_px(problem: _Problem, state: _State, lengths: Array) -> float:
@@ -297,7 +276,10 @@ def _scale_px(problem: _Problem, state: _State, lengths: Array) -> float:
         steady = np.where(short[:, None], used, state.weights)
         lengths = _lengths_px(problem, state.cameras, steady)
     expected = np.where(views > 2, RAYLEIGH_MEDIAN * np.sqrt(1 - 1.5 / np.maximum(views, 2)), PAIR_MEDIAN)
-    return float(np.median((lengths / expected[:, None])[used & np.isfinite(lengths)]))
+    known = used & np.isfinite(lengths)
+    if not known.any():
+        raise MethodError(TOO_FEW)
+    return float(np.median((lengths / expected[:, None])[known]))
 
 
 def _select(problem: _Problem, state: _State) -> _State:
@@ -313,21 +295,21 @@ def _select(problem: _Problem, state: _State) -> _State:
         near = np.nan_to_num(_lengths_px(problem, state.cameras, state.weights), nan=np.inf) <= limit
         long = problem.tracks.seen.sum(axis=1) >= 4
         weights = (problem.tracks.seen & (near | ~long[:, None])).astype(np.float64)
-    weights = np.where(_solvable(problem.tracks, weights, state.cameras, problem.optics)[:, None], weights, 0.0)
+    weights = np.where(_solvable(problem, weights, state.cameras)[:, None], weights, 0.0)
     views = (weights > 0).sum(axis=1)
-    cloud = _intersect(problem, state.cameras, weights)
-    noise = fit_noise(cloud.residual_px, np.maximum(views, 2), sigmas=problem.options.reject_sigmas)
+    residual = _residual_px(problem, state.cameras, weights)
+    noise = fit_noise(residual, np.maximum(views, 2), sigmas=problem.options.reject_sigmas)
     if problem.options.loss == "squared":
         used = views > 1
-        sigma = np.sqrt(np.nansum(views * cloud.residual_px**2) / (2 * views[used] - 3).sum())
+        sigma = np.sqrt(np.nansum(views * residual**2) / (2 * views[used] - 3).sum())
         return replace(state, weights=weights, sigma_px=max(float(sigma), LEAST_SCALE_PX))
     return replace(state, weights=np.where(noise.inliers[:, None], weights, 0.0), sigma_px=noise.sigma_px)
 
 
-def _solvable(tracks: Tracks, weights: Array, cameras: Cameras, optics: Optics) -> Mask:
+def _solvable(problem: _Problem, weights: Array, cameras: Cameras) -> Mask:
     """Tracks seen along two different beams."""
-    counted = Tracks(np.where((weights > 0)[..., None], tracks.xy_px, np.nan))
-    return np.asarray(np.isfinite(triangulate(counted, cameras.poses, optics).xyz_um).all(axis=1))
+    evenly = (weights > 0).astype(np.float64)
+    return np.asarray(np.isfinite(_intersect(problem, cameras, evenly)[0]).all(axis=1))
 
 
 def _report(problem: _Problem, state: _State) -> Refinement:
@@ -335,26 +317,34 @@ def _report(problem: _Problem, state: _State) -> Refinement:
     sigma = np.sqrt(np.diag(covariance))
     view = sigma[:-1].reshape(-1, LOCAL)
     tilts = np.arange(2, len(sigma) - 1, LOCAL)
+    points, k = _points(problem, state), problem.optics.inverse_working_distance
+    noise_um = state.sigma_px * problem.optics.pixel_size_um
     tracks = cameras.corrected(problem.tracks, problem.optics)
     tilt_covariance = np.rad2deg(np.rad2deg(covariance[np.ix_(tilts, tilts)]))
-    magnifications = np.exp(cameras.log_magnifications)
     return Refinement(
         poses=cameras.poses,
         tracks=Tracks(np.where((state.weights > 0)[..., None], tracks.xy_px, np.nan)),
         tilts_deg=np.rad2deg(cameras.tilts_rad),
         tilt_axis_deg=float(np.rad2deg(cameras.axis_rad)),
-        magnifications=magnifications,
+        magnifications=cameras.magnifications,
         rotations_deg=np.rad2deg(cameras.turns_rad),
         shifts_um=cameras.translations_um,
         tilt_covariance_deg2=tilt_covariance,
         tilt_sigma_deg=np.rad2deg(view[:, 2]),
         axis_sigma_deg=float(np.rad2deg(sigma[-1])),
-        magnification_sigma=view[:, 3] * magnifications,
+        magnification_sigma=view[:, 3] * cameras.magnifications,
         rotation_sigma_deg=np.rad2deg(view[:, 4]),
         shift_sigma_um=view[:, :2],
-        points=_points(problem, state),
+        points=points,
         sigma_px=state.sigma_px,
-        unobservable=unobservable(problem.stated.tilts_rad, tilt_covariance, problem.reference, problem.options),
+        unobservable=unobservable(
+            problem.stated.tilts_rad,
+            tilt_covariance,
+            problem.reference,
+            problem.options,
+            perspective=k > 0,
+            keystone=keystone_sigmas(points.xyz_um, cameras.tilts_rad, cameras.axis_rad, k, noise_um),
+        ),
         iterations=state.steps,
         converged=state.last_step <= SETTLED,
     )
@@ -362,14 +352,16 @@ def _report(problem: _Problem, state: _State) -> Refinement:
 
 def _points(problem: _Problem, state: _State) -> PointCloud:
     """Intersect once more, and add to each covariance what the cameras leave open: ``H^-1 W^T C W H^-1``."""
-    cloud = _intersect(problem, state.cameras, state.weights, state.sigma_px)
-    covariance = cloud.covariance_um2.copy()
-    weights = state.weights / (state.sigma_px * problem.optics.pixel_size_um) ** 2
-    for part in blocks(weights):
-        coupling, inverses, _, _ = linearised(
-            problem.tracks, weights, cloud.xyz_um, state.cameras, problem.optics, part
-        )
-        moved = coupling @ inverses
-        covariance[part] += np.swapaxes(moved, 1, 2) @ (state.covariance @ moved)
-    xy_px = np.where(np.isfinite(cloud.xyz_um[:, :1]), problem.tracks.xy_px[:, problem.reference], np.nan)
-    return PointCloud(cloud.xyz_um, covariance, cloud.residual_px, xy_px)
+    xyz, covariance = _intersect(problem, state.cameras, state.weights)
+    counted = np.where(np.isfinite(xyz).all(axis=1, keepdims=True), state.weights, 0.0)
+    weights = counted / (state.sigma_px * problem.optics.pixel_size_um) ** 2
+    share = camera_share(problem.tracks, weights, xyz, state.cameras, problem.optics, state.covariance)
+    xy_px = np.where(np.isfinite(xyz[:, :1]), problem.tracks.xy_px[:, problem.reference], np.nan)
+    residual = _residual_px(problem, state.cameras, state.weights)
+    return PointCloud(xyz, covariance * state.sigma_px**2 + share, residual, xy_px)
+
+
+def _residual_px(problem: _Problem, cameras: Cameras, weights: Array) -> Array:
+    """Root-mean-square distance of the sightings of each point that count, as the ideal cameras would see them."""
+    lengths = _lengths_px(problem, cameras, weights) / cameras.magnifications
+    return rms(np.where(weights > 0, lengths, np.nan))

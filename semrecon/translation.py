@@ -201,7 +201,8 @@ def _offsets(m1_um: Array, m2_um: Array, rotation: Array) -> tuple[Array, Array]
     proper = rotation.shape == (3, 3) and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
     if not proper or np.linalg.det(rotation) < 0:
         raise InputError("the relative rotation must be a proper 3 x 3 rotation matrix, R_2 R_1^T in camera axes")
-    return rotation[:2, 2], m2_um - m1_um @ rotation[:2, :2].T
+    m1, m2 = (np.where(np.isfinite(m), m, np.nan) for m in (m1_um, m2_um))
+    return rotation[:2, 2], m2 - m1 @ rotation[:2, :2].T
 
 
 def _usable(offsets: Array, parallax: Array, inliers: Mask | None) -> Mask:

@@ -12,17 +12,14 @@ depth is that of the linear system (Eqs. 4, 5), untouched. Errors along the epip
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from semrecon.beams import Views, lengths_px, newton_step, parallel_intersection, views_of
 from semrecon.data import Array, Mask, Optics, PointCloud, Poses, Tracks
 from semrecon.errors import InputError
-from semrecon.geometry import CAM_FROM_VIEW, centred_um, project
-from semrecon.normal_equations import multiply, normal_matrices, pseudo_inverses, right_sides
+from semrecon.geometry import CAM_FROM_VIEW, project
 
 GAUSS_NEWTON_STEPS = 8
 SETTLED_UM = 1e-12
-BLOCK = 65536
-"""Points triangulated at a time: bounds the memory of dense clouds."""
 
 
 def projection_matrix(rotation: Array, translation_um: Array, optics: Optics) -> Array:
@@ -73,12 +70,9 @@ def triangulate(
     InputError
         Shapes do not fit, or a standard deviation is not positive.
     """
-    weights = _weights(tracks, poses, sigma_px)
-    blocks = [slice(i, i + BLOCK) for i in range(0, max(len(tracks), 1), BLOCK)]
-    solved = [_solve(Tracks(tracks.xy_px[b]), weights[b], poses, optics) for b in blocks]
-    xyz, covariance = (np.concatenate(parts) for parts in zip(*solved, strict=True))
-    lengths = np.linalg.norm(residuals_px(tracks, xyz, poses, optics), axis=2)
-    return PointCloud(xyz, covariance, _rms(lengths), tracks.xy_px[:, reference])
+    weights, views = _weights(tracks, poses, sigma_px), views_of(poses, optics)
+    xyz, covariance = intersect(tracks.xy_px, weights, views)
+    return PointCloud(xyz, covariance, rms(lengths_px(tracks.xy_px, xyz, views)), tracks.xy_px[:, reference])
 
 
 def residuals_px(tracks: Tracks, xyz_um: Array, poses: Poses, optics: Optics) -> Array:
@@ -143,51 +137,26 @@ def _weights(tracks: Tracks, poses: Poses, sigma_px: float | Array) -> Array:
     return np.where(tracks.seen, 1 / sigma**2, 0.0)
 
 
-def _solve(tracks: Tracks, weights: Array, poses: Poses, optics: Optics) -> tuple[Array, Array]:
-    """Positions (tracks, 3) and covariances (tracks, 3, 3), NaN where singular."""
-    xyz, covariance, rank = _parallel(tracks, weights, poses, optics)
-    if optics.inverse_working_distance:
+def intersect(xy_px: Array, weights: Array, views: Views) -> tuple[Array, Array]:
+    """Intersect the beams: positions (points, 3) and covariances (points, 3, 3) of weighted sightings, NaN if singular.
+
+    Parameters
+    ----------
+    xy_px, weights, views
+        As for `beams.newton_step`.
+    """
+    xyz, covariance, fixed = parallel_intersection(xy_px, weights, views)
+    if views.k:
         for _ in range(GAUSS_NEWTON_STEPS):
-            step, covariance, rank = _perspective_step(xyz, tracks, weights, poses, optics)
-            xyz = xyz + step
-            if np.abs(step).max(initial=0.0) <= SETTLED_UM:
+            before = xyz
+            xyz, covariance, fixed = newton_step(xy_px, weights, before, views)
+            if np.abs(xyz - before).max(initial=0.0) <= SETTLED_UM:
                 break
-    singular = rank < 3
-    xyz[singular], covariance[singular] = np.nan, np.nan
+    xyz[~fixed], covariance[~fixed] = np.nan, np.nan
     return xyz, covariance
 
 
-def _parallel(tracks: Tracks, weights: Array, poses: Poses, optics: Optics) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Solve ``m_v = P_v X + t_v``: exact for k = 0, the start for k > 0."""
-    projections, weights_um = poses.rotations[:, :2], weights / optics.pixel_size_um**2
-    covariance, rank = pseudo_inverses(normal_matrices(weights_um, projections))
-    offsets = np.nan_to_num(centred_um(tracks.xy_px, optics) - poses.translations_um[:, :2])
-    return multiply(covariance, right_sides(weights_um, projections, offsets)), covariance, rank
-
-
-def _perspective_step(
-    xyz: Array, tracks: Tracks, weights: Array, poses: Poses, optics: Optics
-) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Take one Gauss-Newton step of all points, with the covariance and rank where it started."""
-    jacobian = _jacobian(xyz, poses, optics)
-    residual = np.nan_to_num(residuals_px(tracks, xyz, poses, optics))
-    covariance, rank = pseudo_inverses(np.einsum("iv,ivxa,ivxb->iab", weights, jacobian, jacobian, optimize=True))
-    return multiply(covariance, np.einsum("iv,ivxa,ivx->ia", weights, jacobian, residual)), covariance, rank
-
-
-def _jacobian(xyz: Array, poses: Poses, optics: Optics) -> Array:
-    """Differentiate `geometry.project` by the point, px/um, (points, views, 2, 3).
-
-    ``d/dX [X_cam_xy / (1 + k Z)] = (r_12 - k X_cam_xy r_3 / (1 + k Z)) / (1 + k Z)``.
-    """
-    cam = np.einsum("vab,ib->iva", poses.rotations, xyz) + poses.translations_um
-    k = optics.inverse_working_distance
-    scale = (1 + k * cam[..., 2])[..., None, None]
-    bend = k * cam[..., :2, None] * poses.rotations[:, None, 2] / scale
-    return np.asarray((poses.rotations[:, :2] - bend) / (scale * optics.pixel_size_um))
-
-
-def _rms(lengths: Array) -> Array:
+def rms(lengths: Array) -> Array:
     """Root-mean-square over the views that see the point; NaN where there is no point."""
     seen = np.isfinite(lengths)
     mean = np.where(seen, lengths**2, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)

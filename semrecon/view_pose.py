@@ -25,6 +25,8 @@ AMBIGUOUS = 9.0
 DISTINCT_RAD = 1e-3
 STEPS = 40
 SETTLED = 1e-12
+FREEDOM = 3
+"""Fewest residuals beyond the five that the pose absorbs from which the noise, and with it a covariance, is told."""
 SINGULAR = 1e-7
 """Least singular value over the largest below which a parameter is not determined."""
 
@@ -171,8 +173,12 @@ def orthographic_pose(
     best = _refined(found.rotations[0], kept)
     sigma = sigma_px or _noise(kept, *best)
     other = _alternative(found.rotations[1:], best, kept, sigma)
-    pose = _pose(*best, given, complete, sigma, found.proven)
-    return pose if other is None else replace(pose, alternative=_pose(*other, given, complete, sigma, False))
+    pose = _pose(*best, given, complete, sigma, found.proven, sigma_px is not None)
+    return (
+        pose
+        if other is None
+        else replace(pose, alternative=_pose(*other, given, complete, sigma, False, sigma_px is not None))
+    )
 
 
 def checked(
@@ -264,12 +270,13 @@ def _alternative(
 
 
 def _pose(
-    rotation: Array, translation_um: Array, given: Sightings, complete: Mask, sigma_px: float, proven: bool
+    rotation: Array, translation_um: Array, given: Sightings, complete: Mask, sigma_px: float, proven: bool, known: bool
 ) -> OrthographicPose:
     length = np.linalg.norm(given.residuals_px(rotation, translation_um), axis=1)
     residual = np.where(complete, length, np.nan)
     jacobian = _jacobian(rotation, translation_um, given.keep(complete))
-    return OrthographicPose(rotation, translation_um, residual, sigma_px, sigma_px**2 * _inverse(jacobian), proven)
+    covariance = sigma_px**2 * _inverse(jacobian) if known or len(jacobian) - 5 >= FREEDOM else np.full((5, 5), np.nan)
+    return OrthographicPose(rotation, translation_um, residual, sigma_px, covariance, proven)
 
 
 def _inverse(jacobian: Array) -> Array:

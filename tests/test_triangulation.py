@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from semrecon import triangulation
+from semrecon import beams
 from semrecon.data import Array, Optics, PointCloud, Poses, Tracks
 from semrecon.errors import InputError
 from semrecon.geometry import centred_um, project, rotations_from_tilts, view_from_world
+from semrecon.point_bands import in_bands
 from semrecon.translation import solve_closed_form
 from semrecon.triangulation import (
     pair_cloud,
@@ -119,12 +122,12 @@ def test_turning_the_world_turns_the_points_and_their_covariance(optics: Optics)
     np.testing.assert_allclose(there.residual_px, here.residual_px, atol=1e-9)
 
 
-def test_blocks_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bands_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
     poses = poses_at([0, 5, 10])
     tracks = Tracks(sightings(points(), poses, PERSPECTIVE))
     whole = triangulate(tracks, poses, PERSPECTIVE)
-    monkeypatch.setattr(triangulation, "BLOCK", 7)
-    np.testing.assert_allclose(triangulate(tracks, poses, PERSPECTIVE).xyz_um, whole.xyz_um, atol=1e-11)
+    monkeypatch.setattr(beams, "in_bands", partial(in_bands, length=7))
+    np.testing.assert_array_equal(triangulate(tracks, poses, PERSPECTIVE).xyz_um, whole.xyz_um)
 
 
 def test_no_tracks_give_an_empty_cloud() -> None:

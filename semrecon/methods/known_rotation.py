@@ -2,31 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, cast, get_args
 
 import numpy as np
 
 from semrecon.correspondence import CorrespondenceOptions, PairMatches, match_adjacent_pairs, match_pairs
-from semrecon.data import Estimate, PointCloud, TiltSeries, Tracks
+from semrecon.data import Estimate, PointCloud, Poses, TiltSeries, Tracks
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import centred_um, rotations_from_tilts
 from semrecon.joint_translation import SeriesTranslation, solve_series
 from semrecon.methods.base import Gauge, Need
 from semrecon.methods.pair_clouds import (
+    PairCloud,
     heights_of,
     match_diagnostics,
     pair_clouds_of,
     register_pair_clouds,
     skew_warnings,
 )
+from semrecon.methods.registration_check import compare_with_registration
 from semrecon.refinement import Refinement, RefinementOptions, refine
+from semrecon.registration import Open3dKind, Registration, icp, icp_open3d
 from semrecon.robust import NoiseFit, fit_noise
+from semrecon.sightings import without_wrong_sightings
 from semrecon.tracks import join_matches
 from semrecon.translation import solve_closed_form
 from semrecon.triangulation import pair_cloud, triangulate
+
+RegistrationKind = Literal["icp", "open3d_point_to_point", "open3d_point_to_plane", "open3d_generalized"]
 
 
 @dataclass(frozen=True)
@@ -43,8 +50,11 @@ class KnownRotation:
     merge
         "poses": translations of all views at once, each point from all its views. "icp": the seed's published form,
         a cloud for each adjacent pair (generalised inverse, Eqs. 4 to 6), brought together by registration.
+    registration
+        What registers the clouds with merge "icp": ours by the rules of the seed's program ("icp"), or one of Open3D's.
     reject_sigmas
-        Leave out points whose reprojection error is as unlikely as so many standard deviations.
+        Leave out what is as unlikely as so many standard deviations: the one sighting that the rest of its track speaks
+        against, or else the whole point.
     refine
         Adjust tilts, tilt axis, magnification and rotation in the plane of the views to the images, starting from what
         is stated (bundle adjustment); only with merge "poses".
@@ -55,6 +65,7 @@ class KnownRotation:
     correspondence: CorrespondenceOptions = field(default_factory=CorrespondenceOptions)
     pairs: Literal["all", "adjacent"] = "all"
     merge: Literal["poses", "icp"] = "poses"
+    registration: RegistrationKind = "icp"
     reject_sigmas: float = 3.5
     refine: bool = False
     refinement: RefinementOptions = field(default_factory=RefinementOptions)
@@ -68,6 +79,10 @@ class KnownRotation:
     gauge: ClassVar[tuple[Gauge, ...]] = ("offset",)
 
     def __post_init__(self) -> None:
+        if self.registration not in get_args(RegistrationKind):
+            raise InputError(
+                f"registration must be one of {', '.join(get_args(RegistrationKind))}, not {self.registration}"
+            )
         if self.refine and self.merge != "poses":
             raise InputError('option refine works on the poses of all views: it needs merge "poses", not "icp"')
 
@@ -89,18 +104,20 @@ class KnownRotation:
             return self._by_refinement(series, matches, tracks)
         rotations = rotations_from_tilts(series.tilts_deg, series.tilt_axis_deg)
         solved = solve_series(tracks, rotations, series.optics, reference=series.reference)
-        cloud = triangulate(tracks, solved.poses, series.optics, reference=series.reference)
-        views = tracks.seen.sum(axis=1)
-        noise = fit_noise(cloud.residual_px, views, sigmas=self.reject_sigmas)
+        kept = without_wrong_sightings(tracks, solved.poses, series.optics, sigmas=self.reject_sigmas)
+        cloud = triangulate(kept, solved.poses, series.optics, reference=series.reference)
+        noise = fit_noise(cloud.residual_px, kept.seen.sum(axis=1), sigmas=self.reject_sigmas)
         points = _with_noise(cloud.keep(noise.inliers), noise.sigma_px)
-        clouds, pairs = self._clouds(series, matches)
+        clouds = self._clouds(series, matches)
         return Estimate(
             points=points,
             heights=heights_of(series, points, solved.poses.translations_um[series.reference]),
             poses=solved.poses,
-            clouds=clouds,
-            pairs=pairs,
-            diagnostics=match_diagnostics(series, matches) | _pose_diagnostics(views, noise, solved),
+            clouds=tuple(one.cloud for one in clouds),
+            pairs=tuple(one.pair for one in clouds),
+            diagnostics=match_diagnostics(series, matches)
+            | _pose_diagnostics(tracks, kept, noise, solved)
+            | _registration_check(series, clouds, solved.poses),
             warnings=skew_warnings(series, matches),
         )
 
@@ -116,12 +133,12 @@ class KnownRotation:
             options=options,
         )
         points = refined.points.keep(np.isfinite(refined.points.residual_px))
-        clouds, pairs = self._clouds(series, matches)
+        clouds = self._clouds(series, matches)
         return Estimate(
             points=points,
             poses=refined.poses,
-            clouds=clouds,
-            pairs=pairs,
+            clouds=tuple(one.cloud for one in clouds),
+            pairs=tuple(one.pair for one in clouds),
             diagnostics=match_diagnostics(series, matches) | _refined_diagnostics(tracks, refined),
             warnings=() if options.magnifications and options.rotations else skew_warnings(series, matches),
         )
@@ -131,10 +148,11 @@ class KnownRotation:
         adjacent = _adjacent(matches)
         kept = [self._trusted(series, one) for one in adjacent]
         clouds = pair_clouds_of([one for one, _ in kept], [cloud for _, cloud in kept])
-        points, registration = register_pair_clouds(series, clouds)
+        points, registration = register_pair_clouds(series, clouds, self._register)
         found: dict[str, Any] = {
             "points": len(points),
             "rejected": sum(len(one.matches) for one in adjacent) - len(points),
+            "registration": self.registration,
             "registration_rmse_um": registration.rmse_um,
         }
         return Estimate(
@@ -146,11 +164,17 @@ class KnownRotation:
             warnings=skew_warnings(series, adjacent),
         )
 
-    def _clouds(
-        self, series: TiltSeries, matches: Sequence[PairMatches]
-    ) -> tuple[tuple[PointCloud, ...], tuple[tuple[int, int], ...]]:
+    def _clouds(self, series: TiltSeries, matches: Sequence[PairMatches]) -> tuple[PairCloud, ...]:
+        """Clouds of the adjacent pairs, each in its own frame."""
         kept = [self._trusted(series, one) for one in matches if one.pair[1] == one.pair[0] + 1]
-        return tuple(cloud for _, cloud in kept), tuple(one.pair for one, _ in kept)
+        return pair_clouds_of([one for one, _ in kept], [cloud for _, cloud in kept])
+
+    @property
+    def _register(self) -> Callable[[PointCloud, PointCloud], Registration]:
+        if self.registration == "icp":
+            return icp
+        kind = cast(Open3dKind, self.registration.removeprefix("open3d_"))
+        return partial(icp_open3d, kind=kind)
 
     def _trusted(self, series: TiltSeries, one: PairMatches) -> tuple[PairMatches, PointCloud]:
         """Reconstruct a pair, without what its reprojection error speaks against."""
@@ -185,16 +209,24 @@ def _with_noise(cloud: PointCloud, sigma_px: float) -> PointCloud:
     return PointCloud(cloud.xyz_um, cloud.covariance_um2 * sigma_px**2, cloud.residual_px, cloud.xy_px)
 
 
-def _pose_diagnostics(views: np.ndarray, noise: NoiseFit, solved: SeriesTranslation) -> dict[str, Any]:
+def _pose_diagnostics(tracks: Tracks, kept: Tracks, noise: NoiseFit, solved: SeriesTranslation) -> dict[str, Any]:
+    views = tracks.seen.sum(axis=1)
     return {
         "tracks": len(views),
         "tracks_by_views": {str(n): int((views == n).sum()) for n in np.unique(views)},
         "rejected": int((~noise.inliers).sum()),
+        "sightings_left_out": int((tracks.seen & ~kept.seen).sum()),
         "sigma_px": noise.sigma_px,
         "rank": solved.rank,
         "condition": solved.condition,
         "depth_gauge": list(solved.gauge),
     }
+
+
+def _registration_check(series: TiltSeries, clouds: Sequence[PairCloud], poses: Poses) -> dict[str, Any]:
+    """Hold registration of adjacent pairs against the poses: what merge "icp" would do differently."""
+    compared = compare_with_registration(clouds, poses, series.optics)
+    return {"registration_check": [one.reported for one in compared]} if compared else {}
 
 
 def _refined_diagnostics(tracks: Tracks, refined: Refinement) -> dict[str, Any]:

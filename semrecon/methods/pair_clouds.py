@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,7 @@ from semrecon.data import Array, HeightMap, Mask, PointCloud, TiltSeries
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import centred_um, rotations_from_tilts, view_from_world
 from semrecon.meshing import height_map_from_points, without_outliers
-from semrecon.registration import SequenceRegistration, register_sequence
+from semrecon.registration import Registration, SequenceRegistration, icp, register_sequence
 
 SLOPE_PX = 1.0
 """Epipolar lines that run apart by more than this over half an image deserve a warning."""
@@ -44,7 +44,11 @@ def pair_clouds_of(matches: Sequence[PairMatches], clouds: Sequence[PointCloud])
     return tuple(PairCloud(m.pair, cloud.keep(known), m.matches.xy2_px[known]) for m, cloud, known in both)
 
 
-def register_pair_clouds(series: TiltSeries, clouds: Sequence[PairCloud]) -> tuple[PointCloud, SequenceRegistration]:
+def register_pair_clouds(
+    series: TiltSeries,
+    clouds: Sequence[PairCloud],
+    method: Callable[[PointCloud, PointCloud], Registration] = icp,
+) -> tuple[PointCloud, SequenceRegistration]:
     """Bring clouds of adjacent pairs together by ICP, as the seed does (section 4.1, step 6), into the world frame.
 
     The first cloud stays; its nominal rotation leads to world axes. Where the reference view sees points, their
@@ -59,7 +63,7 @@ def register_pair_clouds(series: TiltSeries, clouds: Sequence[PairCloud]) -> tup
         if len(one.cloud) < 3:
             names = " and ".join(view_name(series, i) for i in one.pair)
             raise MethodError(f"{names} have {len(one.cloud)} points in common; registration needs at least three")
-    registration = register_sequence([one.cloud for one in clouds])
+    registration = register_sequence([one.cloud for one in clouds], method)
     merged = registration.merged
     rotations = rotations_from_tilts(series.tilts_deg, series.tilt_axis_deg)
     first, beam = view_from_world(rotations[clouds[0].pair[0]]), rotations[series.reference]
