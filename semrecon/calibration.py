@@ -96,5 +96,6 @@ def perspective_warning(optics: Optics, relief_um: float, working_distance_um: f
     return (
         f"perspective, which is left out, moves points at the image edge by up to {shift:.1f} px (relief "
         f"{relief_um:.3g} um, working distance {working_distance_um / 1000:.3g} mm), more than the matching noise of "
-        f"{noise_px:.2f} px, and bends the heights there by about {bowl_um:.2g} um"
+        f"{noise_px:.2f} px, and bends the heights there by about {bowl_um:.2g} um; --working-distance-mm "
+        f"{working_distance_um / 1000:.3g} takes it into account"
     )

@@ -1,9 +1,8 @@
-"""The recipe of a reconstruction: check the series, run the method, complete the surface, say what to mind."""
+"""The recipe of a reconstruction: check the series, orient it, run the method, complete the surface, raise doubts."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,15 +11,16 @@ from typing import Any
 import numpy as np
 
 from semrecon import DEFAULT_METHOD
-from semrecon.calibration import perspective_warning
+from semrecon.cautions import cautions
 from semrecon.completion import complete
 from semrecon.data import TiltSeries
 from semrecon.errors import InputError
 from semrecon.methods.base import Method
-from semrecon.reconstruction import Reconstruction, finite_median
+from semrecon.orientation import oriented
+from semrecon.reconstruction import Reconstruction
 
-TYPICAL_NOISE_PX = 0.3
-"""Matching noise assumed where the residuals say nothing, px."""
+AXIS_STREAM = 1
+"""Sets the random choices of the axis apart from those of the method."""
 Progress = Callable[[str], None]
 
 
@@ -30,6 +30,7 @@ def reconstruct(
     *,
     seed: int = 0,
     working_distance_um: float | None = None,
+    axis_stated: bool = True,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Reconstruct a surface from a tilt series.
@@ -42,6 +43,8 @@ def reconstruct(
         Of the one random generator; the same seed gives the same result.
     working_distance_um
         Where it is known, for a warning if parallel projection is too simple.
+    axis_stated
+        Whether anybody stated the tilt axis. If not, it is estimated from the images; if so, the images may object.
     progress
         Called with the name of every stage as it begins.
 
@@ -53,17 +56,21 @@ def reconstruct(
         The method cannot answer for this series.
     """
     method = _method(method)
-    check_series(series)
-    check_views(series, method)
+    check_series(series, method)
     clock = Clock(progress)
+    objections: tuple[str, ...] = ()
+    if "tilt_axis" in method.needs:
+        with clock.stage("tilt axis"):
+            series, objections = oriented(series, axis_stated, np.random.default_rng([seed, AXIS_STREAM]))
     with clock.stage(method.name):
         estimate = method(series, rng=np.random.default_rng(seed))
     with clock.stage("surface"):
         points, heights, mesh = complete(estimate, series)
-    result = Reconstruction(
-        series, method.name, options_of(method), estimate, points, heights, mesh, estimate.warnings, seed, clock.seconds
-    )
-    return dataclasses.replace(result, warnings=(*result.warnings, *_cautions(result, working_distance_um)))
+        result = Reconstruction(
+            series, method.name, options_of(method), estimate, points, heights, mesh, seed=seed, seconds=clock.seconds
+        )
+        warnings = (*objections, *estimate.warnings, *cautions(result, working_distance_um))
+    return dataclasses.replace(result, warnings=warnings)
 
 
 class Clock:
@@ -83,19 +90,20 @@ class Clock:
         self.seconds[name] = time.perf_counter() - start
 
 
-def check_series(series: TiltSeries) -> None:
-    """Refuse a series without parallax or without a picture; raises `InputError`."""
-    if len(series) < 2:
+def check_series(series: TiltSeries, method: Method) -> None:
+    """Refuse a series that the method is not made for; raises `InputError`."""
+    for view in series.views:
+        if view.image.size == 0 or view.image.min() == view.image.max():
+            raise InputError(f"{view.name or 'a view'} is blank: all its pixels have one value; leave it out")
+    if len(series) < 2 <= method.views[0]:
         only = series.views[0].name if series.views else "none"
-        raise InputError(f"one image ({only}) cannot show depth; give two or more at different tilts")
-    if np.ptp(series.tilts_deg) == 0:
+        raise InputError(f"one image ({only}) cannot show depth to {method.name}; give two or more at different tilts")
+    if "rotations" in method.needs and np.ptp(series.tilts_deg) == 0:
         raise InputError(
             f"all {len(series)} images have the tilt {series.tilts_deg[0]:g} degrees, so there is no parallax; "
             "check --tilts or the metadata"
         )
-    for view in series.views:
-        if view.image.size == 0 or view.image.min() == view.image.max():
-            raise InputError(f"{view.name or 'a view'} is blank: all its pixels have one value; leave it out")
+    check_views(series, method)
 
 
 def check_views(series: TiltSeries, method: Method) -> None:
@@ -117,14 +125,3 @@ def _method(method: Method | str) -> Method:
     from semrecon.methods import method_named
 
     return method_named(method)
-
-
-def _cautions(result: Reconstruction, working_distance_um: float | None) -> list[str]:
-    """Sentences that need the finished surface: so far, whether parallel projection was good enough."""
-    optics, relief_um = result.series.optics, result.relief_um
-    if working_distance_um is None or optics.inverse_working_distance > 0 or not math.isfinite(relief_um):
-        return []
-    noise_px = finite_median(result.points.residual_px)
-    noise_px = noise_px if noise_px > 0 else TYPICAL_NOISE_PX
-    warning = perspective_warning(optics, relief_um, working_distance_um, noise_px)
-    return [] if warning is None else [warning]

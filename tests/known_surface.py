@@ -57,7 +57,7 @@ class KnowsTheBump:
 
     name: ClassVar[str] = "knows_the_bump"
     citation: ClassVar[str] = "none"
-    needs: ClassVar[tuple[Need, ...]] = ()
+    needs: ClassVar[tuple[Need, ...]] = ("rotations",)
     views: ClassVar[tuple[int, int | None]] = (2, 9)
     gauge: ClassVar[tuple[Gauge, ...]] = ()
 

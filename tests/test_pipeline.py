@@ -10,8 +10,8 @@ from known_surface import PIXEL_UM, KnowsTheBump, bump_series, bump_um, grid_um
 
 from semrecon.data import Estimate, HeightMap, PointCloud, TiltSeries, View
 from semrecon.errors import InputError, MethodError
-from semrecon.figures import hillshade, round_length
 from semrecon.geometry import nominal_poses, project
+from semrecon.maps import hillshade, round_length
 from semrecon.pipeline import reconstruct
 
 
