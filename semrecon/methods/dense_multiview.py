@@ -1,0 +1,178 @@
+"""A height for every pixel from all views at once: plane sweep, then least squares on the grey values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from semrecon.alignment import Alignment, align
+from semrecon.completion import points_from_heights
+from semrecon.correspondence import CorrespondenceOptions, view_name
+from semrecon.data import Array, Estimate, HeightMap, Mask, TiltSeries
+from semrecon.dense.confidence import ConfidenceOptions, confidence
+from semrecon.dense.consistency import confirmed
+from semrecon.dense.parallax import ParallaxOptions
+from semrecon.dense.pictures import Level, prepared
+from semrecon.dense.sightlines import Sightlines, sightlines
+from semrecon.dense.spline import Spline, spline_of
+from semrecon.dense.surface import SweepOptions, coarse_to_fine
+from semrecon.dense.synthesis import ShadingOptions, shaded
+from semrecon.errors import InputError, MethodError
+from semrecon.height_origin import with_median_zero
+from semrecon.methods.base import Gauge, Need
+from semrecon.refinement_options import RefinementOptions
+
+SPAN_PERCENT = (0.5, 99.5)
+"""Heights of the features between which the surface is looked for first ..."""
+SPAN_MARGIN = 0.3
+"""... and so many times their range beyond, on either side ..."""
+SPAN_PARALLAX_PX = 4.0
+"""... and so much parallax."""
+BLIND_SPAN = 0.04
+"""Parallax looked for where there are no features, as a share of the longer side of the images, on either side."""
+OUTLIERS = 5.0
+"""Interquartile ranges beyond the quartiles past which a feature is an error (stripes match by the pitch) ..."""
+LEAST_REACH = 0.15
+"""... but heights within so large a share of the image's longer side of the quartiles are always looked at."""
+LEAST_SHARE = 0.005
+"""Share of the pixels below which what is left is no surface."""
+LEAST_POINTS = 20
+
+
+@dataclass(frozen=True)
+class DenseMultiview:
+    """Dense heights from all views at once.
+
+    Parameters
+    ----------
+    correspondence, refinement
+        How the cameras are found.
+    sweep
+        How heights are first found.
+    parallax
+        How they are refined.
+    confidence
+        What is trusted.
+    shading
+        Whether to add detail from shading where brightness follows the heights from parallax ("auto"), or without
+        asking ("everywhere"). Its reflectance comes from fits to simulated micrographs of one specimen. On the
+        simulated fracture it lowers the median error by about a sixth to a third, elsewhere hardly; it is not tested on
+        real images, and sigma does not count it. Hence "off".
+    """
+
+    correspondence: CorrespondenceOptions = field(default_factory=CorrespondenceOptions)
+    refinement: RefinementOptions = field(default_factory=RefinementOptions)
+    sweep: SweepOptions = field(default_factory=SweepOptions)
+    parallax: ParallaxOptions = field(default_factory=ParallaxOptions)
+    confidence: ConfidenceOptions = field(default_factory=ConfidenceOptions)
+    shading: Literal["off", "auto", "everywhere"] = "off"
+
+    name: ClassVar[str] = "dense_multiview"
+    citation: ClassVar[str] = (
+        "ours; plane sweep (Collins 1996), semi-global aggregation (Hirschmueller 2008), least-squares matching on "
+        "all views (Gruen and Baltsavias 1988)"
+    )
+    needs: ClassVar[tuple[Need, ...]] = ("rotations", "pixel_size", "tilt_axis")
+    views: ClassVar[tuple[int, int | None]] = (2, None)
+    gauge: ClassVar[tuple[Gauge, ...]] = ("offset",)
+
+    def __call__(self, series: TiltSeries, *, rng: np.random.Generator) -> Estimate:
+        """Align the views, then reconstruct; raises `MethodError` with a sentence where it cannot."""
+        if len(series) < 2:
+            raise InputError(f"a tilt series needs at least two views, not {len(series)}")
+        aligned = align(series, self.correspondence, self.refinement, rng)
+        return self.from_alignment(series, aligned)
+
+    def from_alignment(self, series: TiltSeries, aligned: Alignment) -> Estimate:
+        """Reconstruct with cameras that are at hand."""
+        lines = sightlines(aligned.poses, aligned.distortions, series.optics, series.reference)
+        pictures = [prepared(view) for view in series.views]
+        span = _span_px(series, aligned, lines)
+        heights = coarse_to_fine(pictures, lines, span, self.sweep, self.parallax)
+        splines = [spline_of(picture) for picture in pictures]
+        heights, by_shading = self._shaded(series, splines, lines, heights)
+        judged = confidence(pictures, splines, lines, heights, self.parallax, self.confidence)
+        found_again = self._found_again(series, aligned, lines, pictures, heights, judged.trusted)
+        sigma = np.where(found_again, 1.0, self.confidence.doubt) * judged.sigma_px
+        estimate = _estimate(series, aligned, heights, sigma, judged.trusted, found_again | judged.sure)
+        return replace(estimate, diagnostics={**estimate.diagnostics, **by_shading})
+
+    def _shaded(
+        self, series: TiltSeries, splines: Sequence[Spline], lines: Sightlines, heights: Array
+    ) -> tuple[Array, dict[str, Any]]:
+        """Heights with the detail that shading tells of, where that is wanted, and what is to be said of it."""
+        if self.shading == "off":
+            return heights, {}
+        everywhere = self.shading == "everywhere"
+        found = shaded(series, splines, lines, heights, self.parallax, ShadingOptions(), everywhere=everywhere)
+        return found.heights, {"shading": found.diagnostics}
+
+    def _found_again(
+        self,
+        series: TiltSeries,
+        aligned: Alignment,
+        lines: Sightlines,
+        pictures: list[Level],
+        heights: Array,
+        trusted: Mask,
+    ) -> Mask:
+        """Check against a sweep from the view that moves most, over the heights that are trusted so far."""
+        if not trusted.any():
+            return trusted
+        other = int(np.argmax(np.linalg.norm(lines.parallax(), axis=1)))
+        other_lines = sightlines(aligned.poses, aligned.distortions, series.optics, other)
+        low, high = np.percentile(heights[trusted], (0.1, 99.9))
+        margin = 0.1 * (high - low) + SPAN_PARALLAX_PX
+        span = float(low - margin), float(high + margin)
+        return confirmed(pictures, lines, other_lines, heights, span, self.sweep)
+
+
+def _span_px(series: TiltSeries, aligned: Alignment, lines: Sightlines) -> tuple[float, float]:
+    """Heights between which the surface is looked for, px."""
+    fastest = max(float(np.linalg.norm(lines.parallax(), axis=1).max()), 1e-9)
+    if aligned.points is None or len(aligned.points) < LEAST_POINTS:
+        reach = BLIND_SPAN * max(series.optics.shape) / fastest
+        return -reach, reach
+    beam = aligned.poses.rotations[series.reference, 2]
+    heights = -(aligned.points.xyz_um @ beam) / series.optics.pixel_size_um
+    low, high = np.percentile(heights, SPAN_PERCENT)
+    quarter, three = np.percentile(heights, (25, 75))
+    reach = max(OUTLIERS * (three - quarter), LEAST_REACH * max(series.optics.shape))
+    low, high = max(low, quarter - reach), min(high, three + reach)
+    margin = SPAN_MARGIN * (high - low) + SPAN_PARALLAX_PX / fastest
+    return float(low - margin), float(high + margin)
+
+
+def _estimate(
+    series: TiltSeries, aligned: Alignment, heights: Array, sigma_px: Array, trusted: Mask, found_again: Mask
+) -> Estimate:
+    """Heights in um with holes, and a point a pixel."""
+    kept, size_um = trusted & found_again, series.optics.pixel_size_um
+    if kept.mean() < LEAST_SHARE:
+        names = ", ".join(view_name(series, view) for view in range(len(series)))
+        raise MethodError(
+            f"{names} agree on the height of {int(kept.sum())} pixels only: images with more contrast or less noise "
+            "would help, and the tilts, the tilt axis and the masks must be right"
+        )
+    z_um = np.where(kept, heights * size_um, np.nan)
+    map_um = HeightMap(z_um, np.where(kept, sigma_px * size_um, np.nan), size_um)
+    pose = aligned.poses.rotations[series.reference], aligned.poses.translations_um[series.reference]
+    found: dict[str, Any] = {
+        "alignment": aligned.diagnostics,
+        "pixels": int(kept.sum()),
+        "not_trusted": int((~trusted).sum()),
+        "not_found_again": int((trusted & ~found_again).sum()),
+        "median_sigma_um": float(np.median(map_um.sigma_um[kept])),
+    }
+    estimate = Estimate(
+        points=points_from_heights(map_um, series, *pose),
+        heights=map_um,
+        poses=aligned.poses,
+        ties=aligned.points,
+        diagnostics=found,
+        warnings=aligned.warnings,
+    )
+    return estimate if series.optics.inverse_working_distance else with_median_zero(estimate, series.reference)
