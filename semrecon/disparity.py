@@ -74,7 +74,7 @@ def disparity_cloud(
     variant: Variant = "printed",
     tilt_axis_deg: float = 0.0,
     gauge: OffsetGauge | float = "zero_median",
-    sigma_px: float = 1.0,
+    sigma_px: float | Array = 1.0,
 ) -> DisparityCloud:
     """Map the disparity of matches to height: the control experiment of the seed (Rehman 2018).
 
@@ -91,7 +91,7 @@ def disparity_cloud(
     gauge
         Fixes t by the median or mean height being zero, or states it in um (0 takes the disparity as it is).
     sigma_px
-        Standard deviation of a position per coordinate, for the covariance that the formula implies.
+        Standard deviation of a position per coordinate, for the covariance that the formula implies: a number or (n,).
 
     Raises
     ------
@@ -107,8 +107,8 @@ def disparity_cloud(
     offset = _offset(raw[:, 2] / shift[2], gauge)
     missing = np.asarray(~np.isfinite(raw).all(axis=1))
     xyz = np.where(missing[:, None], np.nan, raw - offset * shift)
-    covariance = (sigma_px * optics.pixel_size_um) ** 2 * rows @ rows.T
-    covariances = np.where(missing[:, None, None], np.nan, covariance)
+    variance = np.broadcast_to((np.asarray(sigma_px) * optics.pixel_size_um) ** 2, len(xyz))
+    covariances = np.where(missing[:, None, None], np.nan, variance[:, None, None] * (rows @ rows.T))
     points = PointCloud(xyz, covariances, np.full(len(xyz), np.nan), xy1_px)
     return DisparityCloud(points, tilt_step_deg / 2 if variant == "symmetric" else 0.0, tilt_axis_deg, offset)
 

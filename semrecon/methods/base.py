@@ -8,7 +8,7 @@ import numpy as np
 
 from semrecon.data import Estimate, TiltSeries
 
-Need = Literal["rotations", "pixel_size", "tilt_axis", "channels", "perspective"]
+Need = Literal["rotations", "pixel_size", "tilt_axis", "channels", "perspective", "stage_path"]
 """What a method must be told beside the images."""
 Gauge = Literal["offset", "plane", "scale", "mirror"]
 """What a method cannot observe: a height offset, a tilted plane, the scale of heights, the sign of relief."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
 from semrecon.correspondence import CorrespondenceOptions, PairMatches, match_adjacent_pairs, view_name
-from semrecon.data import Estimate, PointCloud, TiltSeries
+from semrecon.data import Array, Estimate, HeightMap, Mask, PointCloud, TiltSeries
+from semrecon.dense_pair import dense_matches
 from semrecon.disparity import Variant, disparity_cloud
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import rotations_from_tilts, view_from_world
@@ -22,6 +23,13 @@ from semrecon.methods.pair_clouds import (
     register_pair_clouds,
     skew_warnings,
 )
+from semrecon.semiglobal import SemiGlobalOptions
+
+Density = Literal["sparse", "dense"]
+ICP_POINTS = 10_000
+"""Most points of a dense cloud that are registered."""
+LEAST_SHARE = 0.01
+"""Share of the pixels with a disparity below which there is no dense answer."""
 
 REHMAN = "Rehman 2018, as the control experiment of: Research on micro/nano scale 3D reconstruction based on SEM"
 
@@ -38,18 +46,28 @@ class Disparity:
     ----------
     variant
         Formula of the height: "printed" in the seed, "symmetric" or "boyde" (`semrecon.disparity`).
+    density
+        "sparse": heights at features, filled in between. "dense": a height for every pixel, by rectification of the
+        pair and semi-global matching over the range of disparities that the features show. The clouds stay sparse.
     correspondence
         How matches are found and trusted.
+    semiglobal
+        How dense disparities are found.
     """
 
     variant: Variant = "printed"
+    density: Density = "sparse"
     correspondence: CorrespondenceOptions = field(default_factory=CorrespondenceOptions)
+    semiglobal: SemiGlobalOptions = field(default_factory=SemiGlobalOptions)
 
     name: ClassVar[str] = "disparity"
     citation: ClassVar[str] = "Samak et al. 2007; Baghaie et al. 2017; the seed's introduction, Fig. 3A"
     needs: ClassVar[tuple[Need, ...]] = ("rotations", "pixel_size", "tilt_axis")
     views: ClassVar[tuple[int, int | None]] = (2, None)
     gauge: ClassVar[tuple[Gauge, ...]] = ("offset",)
+
+    def __post_init__(self) -> None:
+        _check_options(self.variant, self.density)
 
     def __call__(self, series: TiltSeries, *, rng: np.random.Generator) -> Estimate:
         """Match adjacent views, then map; raises `MethodError` with a sentence where it cannot."""
@@ -58,16 +76,31 @@ class Disparity:
     def from_matches(self, series: TiltSeries, matches: Sequence[PairMatches]) -> Estimate:
         """Map matches that are at hand, so that several methods can share them; only adjacent pairs are used."""
         adjacent = adjacent_pairs(matches, len(series))
-        points = _in_world(series, map_pair(series, _from_reference(series, adjacent), self.variant))
         clouds = tuple(map_pair(series, one, self.variant) for one in adjacent)
+        pair = _from_reference(series, adjacent)
+        points, heights = self._dense(series, pair) if self.density == "dense" else self._sparse(series, pair)
         return Estimate(
             points=points,
-            heights=heights_of(series, points),
+            heights=heights,
             clouds=clouds,
             pairs=tuple(one.pair for one in adjacent),
             diagnostics=match_diagnostics(series, adjacent) | {"points": len(points)},
             warnings=skew_warnings(series, adjacent),
         )
+
+    def _sparse(self, series: TiltSeries, pair: PairMatches) -> tuple[PointCloud, HeightMap]:
+        points = _in_world(series, map_pair(series, pair, self.variant))
+        return points, heights_of(series, points)
+
+    def _dense(self, series: TiltSeries, pair: PairMatches) -> tuple[PointCloud, HeightMap]:
+        """Every formula places a pixel of the first view straight above itself, so that the cloud is a height map."""
+        every, sigma = dense_matches(series, pair, self.semiglobal)
+        cloud = map_pair(series, every, self.variant, sigma)
+        z_um, sigma_um = (one.reshape(series.optics.shape) for one in (cloud.xyz_um[:, 2], cloud.sigma_um))
+        known = np.isfinite(cloud.xyz_um[:, 2])
+        _check_share(series, pair, float(known.mean()))
+        points = _in_world(series, cloud.keep(known))
+        return points, HeightMap(z_um, sigma_um, series.optics.pixel_size_um)
 
 
 @dataclass(frozen=True)
@@ -76,18 +109,23 @@ class DisparityIcp:
 
     Parameters
     ----------
-    variant, correspondence
-        As for `Disparity`.
+    variant, density, correspondence, semiglobal
+        As for `Disparity`. Dense clouds are thinned to some ten thousand points each, on a regular grid.
     """
 
     variant: Variant = "printed"
+    density: Density = "sparse"
     correspondence: CorrespondenceOptions = field(default_factory=CorrespondenceOptions)
+    semiglobal: SemiGlobalOptions = field(default_factory=SemiGlobalOptions)
 
     name: ClassVar[str] = "disparity_icp"
     citation: ClassVar[str] = REHMAN
     needs: ClassVar[tuple[Need, ...]] = ("rotations", "pixel_size", "tilt_axis")
     views: ClassVar[tuple[int, int | None]] = (2, None)
     gauge: ClassVar[tuple[Gauge, ...]] = ("offset",)
+
+    def __post_init__(self) -> None:
+        _check_options(self.variant, self.density)
 
     def __call__(self, series: TiltSeries, *, rng: np.random.Generator) -> Estimate:
         """Match adjacent views, map and register; raises `MethodError` with a sentence where it cannot."""
@@ -96,7 +134,8 @@ class DisparityIcp:
     def from_matches(self, series: TiltSeries, matches: Sequence[PairMatches]) -> Estimate:
         """Map and register matches that are at hand; only adjacent pairs are used."""
         adjacent = adjacent_pairs(matches, len(series))
-        clouds = pair_clouds_of(adjacent, [map_pair(series, one, self.variant) for one in adjacent])
+        measured = [self._measured(series, one) for one in adjacent]
+        clouds = pair_clouds_of([one for one, _ in measured], [cloud for _, cloud in measured])
         points, registration = register_pair_clouds(series, clouds)
         found = {"points": len(points), "registration_rmse_um": registration.rmse_um}
         return Estimate(
@@ -107,6 +146,16 @@ class DisparityIcp:
             diagnostics=match_diagnostics(series, adjacent) | found,
             warnings=skew_warnings(series, adjacent),
         )
+
+    def _measured(self, series: TiltSeries, one: PairMatches) -> tuple[PairMatches, PointCloud]:
+        """Make the cloud of a pair in the view frame of its first view, beside the matches it comes from."""
+        if self.density == "sparse":
+            return one, map_pair(series, one, self.variant)
+        every, sigma = dense_matches(series, one, self.semiglobal)
+        cloud = map_pair(series, every, self.variant, sigma)
+        _check_share(series, one, float(np.isfinite(cloud.xyz_um[:, 2]).mean()))
+        thin = _thin_grid(series.optics.shape)
+        return every.keep(thin), cloud.keep(thin)
 
 
 def adjacent_pairs(matches: Sequence[PairMatches], n_views: int) -> tuple[PairMatches, ...]:
@@ -125,8 +174,15 @@ def adjacent_pairs(matches: Sequence[PairMatches], n_views: int) -> tuple[PairMa
     return tuple(found[pair] for pair in wanted)
 
 
-def map_pair(series: TiltSeries, one: PairMatches, variant: Variant) -> PointCloud:
+def map_pair(
+    series: TiltSeries, one: PairMatches, variant: Variant, disparity_sigma_px: Array | None = None
+) -> PointCloud:
     """Map the disparity of a pair to points in the view frame of its first view.
+
+    Parameters
+    ----------
+    disparity_sigma_px
+        Standard deviation of each disparity, (matches,); None is what the pair shows across the epipolar lines.
 
     Raises
     ------
@@ -135,7 +191,7 @@ def map_pair(series: TiltSeries, one: PairMatches, variant: Variant) -> PointClo
     """
     step = float(series.tilts_deg[one.pair[1]] - series.tilts_deg[one.pair[0]])
     xy1, xy2 = one.matches.xy1_px, one.matches.xy2_px
-    sigma = max(one.sigma_px / np.sqrt(2), 1e-6)
+    sigma = np.maximum((one.sigma_px if disparity_sigma_px is None else disparity_sigma_px) / np.sqrt(2), 1e-6)
     axis = series.tilt_axis_deg
     try:
         cloud = disparity_cloud(xy1, xy2, step, series.optics, variant=variant, tilt_axis_deg=axis, sigma_px=sigma)
@@ -161,3 +217,26 @@ def _in_world(series: TiltSeries, cloud: PointCloud) -> PointCloud:
     """Turn a cloud from the view frame of the reference view into the world frame."""
     view = view_from_world(rotations_from_tilts(series.tilts_deg, series.tilt_axis_deg)[series.reference])
     return PointCloud(cloud.xyz_um @ view, view.T @ cloud.covariance_um2 @ view, cloud.residual_px, cloud.xy_px)
+
+
+def _thin_grid(shape: tuple[int, int]) -> Mask:
+    """Every so-many-th row and column, so that at most `ICP_POINTS` pixels are left, (pixels,)."""
+    step = int(np.ceil(np.sqrt(shape[0] * shape[1] / ICP_POINTS)))
+    chosen = np.zeros(shape, dtype=bool)
+    chosen[step // 2 :: step, step // 2 :: step] = True
+    return np.asarray(chosen.ravel())
+
+
+def _check_share(series: TiltSeries, one: PairMatches, share: float) -> None:
+    if share < LEAST_SHARE:
+        names = " and ".join(view_name(series, i) for i in one.pair)
+        raise MethodError(
+            f"{names}: only {share:.1%} of the pixels have a disparity that is the same from left and from right; "
+            'images with more contrast or less noise would help, or density "sparse"'
+        )
+
+
+def _check_options(variant: str, density: str) -> None:
+    for name, value, kind in (("variant", variant, Variant), ("density", density, Density)):
+        if value not in get_args(kind):
+            raise InputError(f"option {name} must be one of {', '.join(get_args(kind))}, not {value!r}")
