@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, Future, as_completed
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass
 from functools import cache
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from benchmarks.ledger import Ledger, Row
 
+T = TypeVar("T")
+IN_FLIGHT = 16
+"""Calls handed to an executor at a time: more than it has workers, so that none waits."""
 _ROOT = Path(__file__).resolve().parent.parent
 _DECIDING = ("adapt", "contenders", "evaluate", "scenes", "study")
 """Modules here that can change a result; figures, tables and recordings only show it."""
@@ -42,13 +46,30 @@ def run_jobs(
     """
     missing = [job for job in jobs if not all(ledger.has(key) for key in job.keys)]
     on_done(len(jobs) - len(missing))
-    futures: list[Future[list[Row]]] = [executor.submit(job.function, *job.arguments) for job in missing]
+    for rows in completed(((job.function, job.arguments) for job in missing), executor):
+        ledger.record(rows)
+        on_done(1)
+
+
+def completed(calls: Iterable[tuple[Callable[..., T], tuple[Any, ...]]], executor: Executor) -> Iterator[T]:
+    """Make calls through an executor and yield what they return, in the order of completion.
+
+    No more than `IN_FLIGHT` are handed over at a time, and nothing is kept that was yielded, so that a long run needs
+    no more memory than a short one. Calls that have not begun are withdrawn when the caller stops.
+    """
+    waiting = iter(calls)
+    under_way: set[Future[T]] = set()
     try:
-        for future in as_completed(futures):
-            ledger.record(future.result())
-            on_done(1)
+        while True:
+            for function, arguments in islice(waiting, IN_FLIGHT - len(under_way)):
+                under_way.add(executor.submit(function, *arguments))
+            if not under_way:
+                return
+            done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
+            while done:
+                yield done.pop().result()
     finally:
-        for future in futures:
+        for future in under_way:
             future.cancel()
 
 

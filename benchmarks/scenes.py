@@ -83,11 +83,11 @@ class SimulatedSource:
 
     def series(self, repetition: int) -> TiltSeries:
         """Expose the prepared surfaces with the noise of this repetition."""
-        return series_from_capture(expose(self._surfaces(), np.random.default_rng(seed_of(self.name, repetition))))
+        return series_from_capture(expose(self.surfaces(), np.random.default_rng(seed_of(self.name, repetition))))
 
     def truth(self) -> GroundTruth:
         """Truth of the scene."""
-        return self._surfaces().truth
+        return self.surfaces().truth
 
     def judgeable(self, views: tuple[int, ...], step: int) -> Mask:
         """Tell what all of `views` see, on every `step`-th row and column of the first of them."""
@@ -97,7 +97,8 @@ class SimulatedSource:
     def _path(self) -> Path:
         return self.cache / f"{self.name}-{digest(tables(self.scene), code_version('semsim'))}.pickle"
 
-    def _surfaces(self) -> Surfaces:
+    def surfaces(self) -> Surfaces:
+        """Read the prepared surfaces of the scene from the cache, or make them."""
         self.prepare()
         return _loaded(self._path)
 

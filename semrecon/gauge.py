@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -14,9 +16,38 @@ if TYPE_CHECKING:
     from semrecon.methods.base import Gauge
 
 Norm = Literal["squares", "absolute"]
-"""What the removed part makes smallest: the sum of squared errors, or the sum of their absolute values."""
+"""What the removed part makes small: the sum of squared errors, or the median of their absolute values."""
 GAUGES = ("offset", "plane", "scale", "mirror")
 ENOUGH = 200_000
+"""Heights asked for a fit by least absolute error ..."""
+ENOUGH_FOR_SCALE = 5_000
+"""... and in the search for a scale."""
+SCALE_REACH = 2.0
+"""A scale is looked for within this factor of the one that least absolute error gives ..."""
+SPREAD_REACH = 4.0
+"""... which is itself held within this factor of the ratio of the spreads: else a relief that fits nowhere is
+flattened, and the median of a scene that is mostly flat would be pleased."""
+
+
+@dataclass(frozen=True)
+class GaugeFit:
+    """The member of a gauge that brings an estimate nearest the truth.
+
+    Heights become ``scale h - offset - slope_x x - slope_y y``; the scale is negative where the relief was turned
+    inside out.
+    """
+
+    scale: float = 1.0
+    offset_um: float = 0.0
+    slope_x: float = 0.0
+    slope_y: float = 0.0
+
+    def error(self, estimated_um: Array, true_um: Array, xy_um: Array | None = None) -> Array:
+        """Estimated minus true height after the removal, um; `true_um` 0 gives the heights themselves."""
+        error = self.scale * estimated_um - true_um - self.offset_um
+        if xy_um is None or (self.slope_x == 0 and self.slope_y == 0):
+            return np.asarray(error)
+        return np.asarray(error - self.slope_x * xy_um[..., 0] - self.slope_y * xy_um[..., 1])
 
 
 def gauge_residual(
@@ -27,6 +58,32 @@ def gauge_residual(
     norm: Norm = "squares",
 ) -> Array:
     """Error of heights that is left after the best member of the declared gauge is taken away.
+
+    See `gauge_fit` for the parameters and for what is raised.
+
+    Returns
+    -------
+    estimated - true in um, in the shape of the input; NaN where either is missing, and everywhere if no more heights
+    are left than the gauge has free numbers: nothing would be left to judge.
+    """
+    fit = gauge_fit(estimated_um, true_um, gauge, xy_um, norm)
+    residual = np.full(true_um.shape, np.nan)
+    if fit is not None:
+        valid = np.isfinite(estimated_um) & np.isfinite(true_um)
+        xy = _places(true_um.shape, xy_um)[valid] if "plane" in gauge else None
+        residual[valid] = fit.error(estimated_um[valid].astype(np.float64), true_um[valid].astype(np.float64), xy)
+    return residual
+
+
+def gauge_fit(
+    estimated_um: Array,
+    true_um: Array,
+    gauge: Sequence[Gauge] = ("offset",),
+    xy_um: Array | None = None,
+    norm: Norm = "squares",
+    narrower: bool = True,
+) -> GaugeFit | None:
+    """Find the member of a gauge that brings an estimate nearest the truth.
 
     Parameters
     ----------
@@ -39,13 +96,17 @@ def gauge_residual(
     xy_um
         Places of the heights, (..., 2); needed for ``plane`` on points. A map has its pixel grid about its centre.
     norm
-        ``squares``: least squares, so an offset is the mean error: what suits an RMS. ``absolute``: least absolute
-        error, so an offset is the median error: what suits a median and quantiles, and does not follow outliers.
+        ``squares``: least squares, so an offset is the mean error: what suits an RMS. ``absolute``: offset and plane by
+        least absolute error (an offset is the median error), which does not follow outliers; scale, sign, and whether
+        a freedom is used at all, by the median absolute error, which is what is scored. So no freedom can cost a
+        method anything: a wider gauge never has the larger RMS or median.
+    narrower
+        Whether a freedom may go unused under ``absolute``. It may for a score; but relief of a wrong size scores well
+        where most of the scene is flat, so that to bring surfaces together all freedoms should be used.
 
     Returns
     -------
-    estimated - true in um, in the shape of the input; NaN where either is missing, and everywhere if no more heights
-    are left than the gauge has free numbers: nothing would be left to judge.
+    The fit, or None if no more heights are known than the gauge has free numbers.
 
     Raises
     ------
@@ -53,59 +114,116 @@ def gauge_residual(
         If shapes differ, a gauge is unknown, or places are needed and not given.
     """
     valid = _checked(estimated_um, true_um, gauge)
-    residual = np.full(true_um.shape, np.nan)
     free = ("offset" in gauge) + 2 * ("plane" in gauge) + ("scale" in gauge)
     if valid.sum() <= free:
-        return residual
+        return None
     estimated, true = estimated_um[valid].astype(np.float64), true_um[valid].astype(np.float64)
     xy = _places(true_um.shape, xy_um)[valid] if "plane" in gauge else None
-    if "mirror" in gauge and _mirrored_fits_better(estimated, true, gauge, xy):
-        estimated = -estimated
-    residual[valid] = _fitted(estimated, true, gauge, xy, norm)
-    return residual
+    found = []
+    for sign in (1.0, -1.0) if "mirror" in gauge else (1.0,):
+        turned = sign * estimated
+        by_squares = norm == "squares"
+        fits = _by_squares(turned, true, gauge, xy) if by_squares else _by_median(turned, true, gauge, xy, narrower)
+        for fit in fits:
+            error = fit.error(turned, true, xy)
+            found.append((_misfit(error, norm), replace(fit, scale=sign * fit.scale)))
+    return min(found, key=lambda each: each[0])[1]  # the first of equals: the narrowest
 
 
-def _mirrored_fits_better(estimated: Array, true: Array, gauge: Sequence[Gauge], xy: Array | None) -> bool:
-    """Compare both signs of the relief by least squares; a tie leaves it as it is."""
-    upright, mirrored = (_fitted(sign * estimated, true, gauge, xy, "squares") for sign in (1, -1))
-    return bool(np.mean(mirrored**2) < np.mean(upright**2))
+def _misfit(error: Array, norm: Norm) -> float:
+    return float(np.mean(error**2) if norm == "squares" else np.median(np.abs(error)))
 
 
-def _fitted(estimated: Array, true: Array, gauge: Sequence[Gauge], xy: Array | None, norm: Norm) -> Array:
-    """Error after offset, tilt and scale are removed; a scale that wants to be negative is held at zero.
+def _by_squares(estimated: Array, true: Array, gauge: Sequence[Gauge], xy: Array | None) -> Iterator[GaugeFit]:
+    """Yield the least-squares member; a scale that wants to be negative is held at zero.
 
-    Under `absolute` the scale is that of the estimate over the truth, which has no outliers, and a surface without
-    relief is taken where even that has the lower median.
+    A level estimate has no scale of its own, and rounding may make a wild one of it: the scale of 1 is yielded too.
     """
-    columns, offset = [] if xy is None else [xy[:, 0], xy[:, 1]], "offset" in gauge
+    columns, offset = _columns(xy), "offset" in gauge
+    yield _fit(1.0, _taken(estimated - true, columns, offset, "squares"))
     if "scale" not in gauge:
-        return _without(estimated - true, columns, offset, norm)[0]
-    flat = _without(-true, columns, offset, norm)[0]
-    if norm == "squares":
-        error, taken = _without(estimated - true, [*columns, estimated], offset, norm)
-        return error if taken[-1] <= 1 else flat
-    error, taken = _without(estimated - true, [*columns, true], offset, norm)
-    scale = 1 + taken[-1]
-    return error / scale if scale > 0 and np.median(np.abs(error)) <= scale * np.median(np.abs(flat)) else flat
+        return
+    *slopes, share, constant = _taken(estimated - true, [*columns, estimated], offset, "squares")
+    if share <= 1:
+        yield _fit(1.0 - share, np.array([*slopes, constant]))
+    else:
+        yield _fit(0.0, _taken(-true, columns, offset, "squares"))
 
 
-def _without(error: Array, columns: list[Array], offset: bool, norm: Norm) -> tuple[Array, Array]:
-    """Error without its best fit by the columns (and a constant), and the factor of each column.
+def _by_median(
+    estimated: Array, true: Array, gauge: Sequence[Gauge], xy: Array | None, narrower: bool
+) -> Iterator[GaugeFit]:
+    """Yield members of the gauge, and where wanted of every narrower one, for the least median to be taken."""
+    for offset, plane in product(_choices("offset", gauge, narrower), _choices("plane", gauge, narrower)):
+        columns = _columns(xy if plane else None)
+        scales = _scales(estimated, true, columns, offset) if "scale" in gauge else ()
+        for scale in (1.0, *scales) if narrower or not scales else scales:
+            yield _fit(scale, _taken(scale * estimated - true, columns, offset, "absolute"))
+
+
+def _choices(freedom: Gauge, gauge: Sequence[Gauge], narrower: bool) -> tuple[bool, ...]:
+    if freedom not in gauge:
+        return (False,)
+    return (False, True) if narrower else (True,)
+
+
+def _scales(estimated: Array, true: Array, columns: list[Array], offset: bool) -> tuple[float, ...]:
+    """Scales worth a try: that of the estimate over the truth, which has no outliers, and the best about it."""
+    every = max(1, len(true) // ENOUGH_FOR_SCALE)
+    estimated, true, columns = estimated[::every], true[::every], [column[::every] for column in columns]
+    spread, wanted = _spread(estimated, columns), _spread(true, columns)
+    if spread == 0 or wanted == 0:
+        return ()
+    ratio = wanted / spread
+    gain = 1 + _taken(estimated - true, [*columns, true], offset, "absolute")[-2]
+    centre = float(np.clip(1 / gain if gain > 0 else np.inf, ratio / SPREAD_REACH, ratio * SPREAD_REACH))
+
+    def misfit(scale: float) -> float:
+        fit = _fit(scale, _taken(scale * estimated - true, columns, offset, "absolute"))
+        return _misfit(fit.error(estimated, true, np.stack(columns, axis=-1) if columns else None), "absolute")
+
+    best, reach = centre, SCALE_REACH
+    for _ in range(3):
+        tried = np.clip(best * np.geomspace(1 / reach, reach, 9), centre / SCALE_REACH, centre * SCALE_REACH)
+        best, reach = float(min(tried, key=misfit)), reach**0.25
+    return centre, best
+
+
+def _spread(heights: Array, columns: list[Array]) -> float:
+    """Height between the 5th and the 95th percentile, without the plane where that is free."""
+    if columns:
+        *slopes, _ = _taken(heights, columns, True, "squares")
+        heights = heights - sum(slope * column for slope, column in zip(slopes, columns, strict=True))
+    return float(np.subtract(*np.percentile(heights, [95, 5])))
+
+
+def _columns(xy: Array | None) -> list[Array]:
+    return [] if xy is None else [xy[:, 0], xy[:, 1]]
+
+
+def _fit(scale: float, taken: Array) -> GaugeFit:
+    """Name the factors: slopes, if any, then the constant."""
+    *slopes, constant = (float(each) for each in taken)
+    return GaugeFit(scale, constant, *slopes)
+
+
+def _taken(error: Array, columns: list[Array], offset: bool, norm: Norm) -> Array:
+    """Factor of each column, then the constant (0 unless there is an offset), of the best fit to an error.
 
     The fit is to the error and not to the heights, so no error has exactly nothing taken away.
     """
     if not columns:
-        return (error - _centre(error, norm) if offset else error), np.zeros(0)
+        return np.array([_centre(error, norm) if offset else 0.0])
     design = np.stack([column - column.mean() if offset else column for column in columns], axis=1)
     size = np.sqrt(np.mean(design**2, axis=0))
-    design = design / np.where(size > 0, size, 1)
+    size = np.where(size > 0, size, 1)
+    design = design / size
     if offset:
         design = np.column_stack([design, np.ones(len(error))])
-    factors = _least_squares(design, error) if norm == "squares" else _least_absolute(design, error)
-    left = error - design @ factors
-    if offset:
-        left = left - _centre(left, norm)
-    return left, factors[: len(columns)] / np.where(size > 0, size, 1)
+    found = _least_squares(design, error) if norm == "squares" else _least_absolute(design, error)
+    factors = found[: len(columns)] / size
+    left = error - sum(factor * column for factor, column in zip(factors, columns, strict=True))
+    return np.append(factors, _centre(left, norm) if offset else 0.0)
 
 
 def _least_squares(design: Array, error: Array, weight: Array | None = None) -> Array:

@@ -1,0 +1,94 @@
+"""`python -m benchmarks plan`: which tilts, how many views and what dose reach a wanted depth error."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from benchmarks.commands.sweep import _numbers
+from benchmarks.console import one_sentence, progress, said_when_interrupted, workers_at
+
+if TYPE_CHECKING:
+    from benchmarks.planner import Choices, Planned
+
+
+def plan(
+    target_um: Annotated[float, typer.Option(help="Wanted median absolute depth error, um.")],
+    scene: Annotated[
+        str, typer.Option(help="What resembles your specimen: a scene of the suite, any named scene, or a TOML file.")
+    ] = "fracture_rough",
+    method: Annotated[str, typer.Option(help="The method that will be used.")] = "known_rotation",
+    ranges: Annotated[str, typer.Option(help="Ranges of tilt about zero, deg, with commas; 4,8,16,30.")] = "",
+    views: Annotated[str, typer.Option(help="Numbers of views, with commas; 2,3,5.")] = "",
+    doses: Annotated[str, typer.Option(help="Electrons a pixel and view, with commas; 25,100,400,1600.")] = "",
+    columns: Annotated[int, typer.Option(min=64, help="Width of the pictures, px.")] = 427,
+    checks: Annotated[int, typer.Option(min=1, help="Most candidates to be simulated.")] = 3,
+    seeds: Annotated[int, typer.Option(min=1, help="Repetitions of each simulation.")] = 2,
+    window_px: Annotated[float, typer.Option(min=0, help="For the bound: Gaussian window, 1 sigma.")] = 3.0,
+    out: Annotated[Path, typer.Option(help="Results folder; a plan that was stopped goes on there.")] = Path(
+        "results/plan"
+    ),
+    workers: Annotated[int, typer.Option(min=1, help="Processes side by side.")] = os.cpu_count() or 1,
+    timeout: Annotated[float, typer.Option(min=0.1, help="Most seconds for one call of the method.")] = 300.0,
+    memory_gib: Annotated[float, typer.Option(min=0.1, help="Most memory of a process that calls it.")] = 6.0,
+    scheduler: Annotated[str, typer.Option(help="Address of a dask scheduler, instead of processes here.")] = "",
+) -> None:
+    """Find the cheapest way to take the pictures that reaches a depth error, by model, and check it by simulation."""
+    with one_sentence():
+        from benchmarks.bench import LEDGER, alone, check_out, contenders
+        from benchmarks.bench_ledger import BenchLedger
+        from benchmarks.cell import Limits
+        from benchmarks.planner import Task, make_plan
+        from benchmarks.sweeps import base_scene
+        from semrecon.errors import InputError
+
+        if not target_um > 0:
+            raise InputError(f"--target-um must be a positive number of micrometres, not {target_um:g}")
+        check_out(out)
+        (picked,) = contenders([method])
+        channels = "channels" in picked.needs
+        base, development = (
+            base_scene(scene, out / "cache", columns=columns, purpose=purpose, channels=channels)
+            for purpose in ("reporting", "development")
+        )
+        limits = Limits(timeout, memory_gib)
+        task = Task(
+            base, development, picked, target_um, _choices(ranges, views, doses), seeds, checks, window_px, limits
+        )
+        with alone(out), workers_at(workers, scheduler) as executor, said_when_interrupted(out), progress() as report:
+            planned = make_plan(task, BenchLedger(out / LEDGER), executor, report)
+        _show(planned, base.name, out)
+
+
+def _choices(ranges: str, views: str, doses: str) -> Choices:
+    from benchmarks.planner import Choices
+
+    usual = Choices()
+    return Choices(
+        tuple(_numbers(ranges)) or usual.ranges_deg,
+        tuple(int(each) for each in _numbers(views)) or usual.views,
+        tuple(_numbers(doses)) or usual.doses_e,
+    )
+
+
+def _show(planned: Planned, scene: str, out: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from benchmarks.planner import write_plan_csv
+    from benchmarks.planner_page import plan_markdown, plan_rows, verdict
+    from benchmarks.sweep_figures import draw_plan
+
+    draw_plan(out / "plan.png", planned.candidates, planned.target_um, f"{planned.method} on {scene}, by the model")
+    write_plan_csv(out / "plan.csv", planned)
+    (out / "plan.md").write_text(plan_markdown(planned, scene, "plan.png"), encoding="utf-8")
+    head, rows = plan_rows(planned)
+    table = Table(*head, title=f"ways to {planned.target_um:g} um, cheapest first")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+    typer.echo(verdict(planned))
+    typer.echo(f"Results are in {out}; open plan.md first.")
