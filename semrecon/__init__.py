@@ -2,5 +2,5 @@
 
 __version__ = "0.1.0"
 
-DEFAULT_METHOD = "known_rotation"
+DEFAULT_METHOD = "dense_multiview"
 """Method that runs when none is named; kept here, where nothing slow is imported."""

@@ -1,144 +1,200 @@
-"""The picture that a person opens first: image, heights, uncertainty and relief on one page."""
+"""The picture that a person opens first: what was measured, how far to trust it, and what to mind, on one page."""
 
 from __future__ import annotations
 
 import math
-import textwrap
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from semrecon.data import Array
+from semrecon.charts import REFERENCE, draw_beams, draw_histogram, draw_pairs, draw_tilts
+from semrecon.glance import block_means, facts, grey_range, in_words, plain, view_tilts, warning_lines
+from semrecon.maps import draw_heights, draw_image, draw_relief, draw_residuals, draw_sigma
 from semrecon.reconstruction import Reconstruction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colorizer import ColorizingArtist
     from matplotlib.figure import Figure
 
-BACKGROUND = "#dddddd"
-"""Where nothing was measured."""
-PAGE_INCHES = 11.0
-LINE, MOST = 140, 4
-"""Letters a line, and warnings, above the panels."""
-SUN_AZIMUTH_DEG, SUN_ELEVATION_DEG = 315.0, 55.0
-"""Light from the upper left, as maps are drawn."""
+Draw = Callable[["Axes", Reconstruction], "ColorizingArtist | None"]
+
+DPI = 110
+WIDTH, MARGIN, GAP = 14.0, 0.35, 0.45
+"""Of the page, its rim, and the space between two panels; lengths on the page are inches."""
+CELL = (WIDTH - 2 * MARGIN - 2 * GAP) / 3
+TITLE, BAR = 0.32, 0.62
+"""Above a panel, and below it for its colour bar or axis."""
+CHART = 3.1
+HEADLINE, LINE = 0.45, 0.2
+LETTERS, MOST_WARNING_LINES = 170, 16
+FACT_COLUMNS, FACT_NAME = 3, 0.95
+INSETS: dict[Draw, float] = {draw_histogram: 0.1, draw_tilts: 0.6, draw_pairs: 0.35}
+UNITS: dict[Draw, str] = {
+    draw_heights: "height, µm",
+    draw_sigma: "sigma, µm",
+    draw_residuals: "rms reprojection error, px",
+    draw_pairs: "across the epipolar lines, px",
+}
+THUMBS_A_ROW, LEAST_A_ROW = 10, 7
+LETTER = 0.083
+THUMB_WORDS = 0.46
+
+
+@dataclass
+class Sheet:
+    """A page that is filled from the top.
+
+    Parameters
+    ----------
+    figure
+        Of the full height of the page.
+    height
+        Of the page.
+    below_top
+        Where the next thing goes.
+    """
+
+    figure: Figure
+    height: float
+    below_top: float = MARGIN
+
+    def axes(self, left: float, width: float, height: float) -> Axes:
+        """Place a panel at the present line."""
+        bottom = self.height - self.below_top - height
+        return self.figure.add_axes((left / WIDTH, bottom / self.height, width / WIDTH, height / self.height))
+
+    def write(self, left: float, words: str, **how: object) -> None:
+        """Write one line of words at the present line."""
+        how = {"fontsize": 9.5, "va": "top", "parse_math": False} | how
+        self.figure.text(left / WIDTH, 1 - self.below_top / self.height, words, **how)  # type: ignore[arg-type]
 
 
 def write_summary(result: Reconstruction, path: Path) -> None:
-    """Draw reference image, height map, sigma map and shaded relief, each with a scale bar."""
+    """Write the summary page as a PNG."""
+    with warnings.catch_warnings():
+        # names of files may hold letters that no font here has; they come out as boxes
+        warnings.filterwarnings("ignore", message="Glyph .* missing")
+        draw_page(result).savefig(path)
+
+
+def draw_page(result: Reconstruction) -> Figure:
+    """Draw images, heights, sigma, residuals and camera directions, with the facts and the warnings above them."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    optics = result.series.optics
-    # a panel is half a page wide, less the colour bar
-    panel_height = 0.42 * PAGE_INCHES * min(max(optics.height_px / optics.width_px, 0.5), 1.6)
-    title = _title(result)
-    title_height = 0.9 + 0.19 * len(title.splitlines())
-    figure = Figure(figsize=(PAGE_INCHES, 2 * panel_height + title_height), dpi=120, layout="constrained")
+    known = facts(result)
+    said = warning_lines(result.warnings, LETTERS, MOST_WARNING_LINES) or ["No warnings."]
+    height = page_height(result, math.ceil(len(known) / FACT_COLUMNS) + len(said))
+    figure = Figure(figsize=(WIDTH, height), dpi=DPI)
     FigureCanvasAgg(figure)
-    axes = figure.subplots(2, 2)
-    _draw_image(axes[0, 0], result)
-    _draw_map(figure, axes[0, 1], result.heights.z_um, "height", "viridis", optics.pixel_size_um)
-    _draw_map(figure, axes[1, 0], result.heights.sigma_um, "1 sigma", "magma", optics.pixel_size_um)
-    _draw_relief(axes[1, 1], result)
-    figure.suptitle(title, fontsize=11, x=0.01, ha="left")
-    figure.savefig(path)
+    sheet = Sheet(figure, height)
+    _draw_header(sheet, result, known, said)
+    maps = map_height(result)
+    _draw_row(sheet, result, maps, (draw_image, draw_heights, draw_sigma))
+    _draw_row(sheet, result, maps, (draw_relief, draw_residuals, draw_histogram))
+    _draw_row(sheet, result, CHART, (draw_beams, draw_tilts, draw_pairs))
+    _draw_thumbnails(sheet, result)
+    return figure
 
 
-def hillshade(z_um: Array, pixel_size_um: float) -> Array:
-    """Lambert shading of a height map under one light, (rows, columns) in 0 to 1, NaN at missing heights."""
-    down, right = np.gradient(z_um, pixel_size_um)
-    normal = np.stack([-right, down, np.ones_like(z_um)])  # image rows run down, y runs up
-    azimuth, elevation = np.deg2rad([SUN_AZIMUTH_DEG, SUN_ELEVATION_DEG])
-    sun = [np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)]
-    return np.asarray(np.clip(np.tensordot(sun, normal / np.linalg.norm(normal, axis=0), axes=1), 0, 1))
+def map_height(result: Reconstruction) -> float:
+    """Height of a panel that holds an image, whatever its shape."""
+    rows, columns = result.heights.z_um.shape
+    return float(CELL * min(max(rows / columns, 0.45), 1.4))
 
 
-def point_spacing_px(result: Reconstruction) -> float:
-    """Mean distance of the points in the image, px: finer relief than this is interpolation."""
-    measured = int(np.isfinite(result.heights.z_um).sum())
-    return math.sqrt(measured / max(len(result.points), 1))
+def page_height(result: Reconstruction, lines: int) -> float:
+    """Height of the page with so many lines of facts and warnings."""
+    header = HEADLINE + LINE * (lines + 2)
+    rows = 2 * map_height(result) + CHART + 3 * (TITLE + BAR)
+    columns, thumb = _thumbnail_grid(result)
+    return 2 * MARGIN + header + rows + TITLE + math.ceil(len(result.series) / columns) * (thumb + THUMB_WORDS)
 
 
-def smoothed(z_um: Array, sigma_px: float) -> Array:
-    """Blur heights by a Gaussian over what is measured; what is missing stays missing."""
-    from scipy.ndimage import gaussian_filter
-
-    known = np.isfinite(z_um)
-    weight = gaussian_filter(known.astype(np.float64), sigma_px)
-    blurred = gaussian_filter(np.where(known, z_um, 0.0), sigma_px)
-    return np.where(known, blurred / np.maximum(weight, 1e-12), np.nan)
-
-
-def round_length(length: float) -> float:
-    """Largest of 1, 2, 5 times a power of ten that is not above `length`."""
-    power = 10.0 ** math.floor(math.log10(length))
-    return max(step * power for step in (1, 2, 5) if step * power <= length * (1 + 1e-9))
-
-
-def _draw_image(axes: Axes, result: Reconstruction) -> None:
-    view = result.series.views[result.series.reference]
-    low, high = np.percentile(view.image, [0.5, 99.5])
-    axes.imshow(view.image, cmap="gray", vmin=low, vmax=max(high, low + 1))
-    _finish(axes, f"{view.name or 'reference view'}, tilt {view.tilt_deg:g}°", result.heights.pixel_size_um)
+def _draw_header(sheet: Sheet, result: Reconstruction, known: list[tuple[str, str]], said: list[str]) -> None:
+    sheet.write(MARGIN, f"Surface from {len(result.series)} views by {result.method}", fontsize=15, weight="bold")
+    sheet.below_top += HEADLINE
+    rows = math.ceil(len(known) / FACT_COLUMNS)
+    for row in range(rows):
+        for column, (name, value) in enumerate(known[row::rows]):
+            left = MARGIN + column * (CELL + GAP)
+            sheet.write(left, name, color="#666666")
+            sheet.write(left + FACT_NAME, value)
+        sheet.below_top += LINE
+    sheet.below_top += 0.5 * LINE
+    for line in said:
+        sheet.write(MARGIN, line, color="#8a2f00" if result.warnings else "#666666")
+        sheet.below_top += LINE
+    sheet.below_top += 0.5 * LINE
 
 
-def _draw_map(figure: Figure, axes: Axes, values: Array, name: str, colours: str, pixel_size_um: float) -> None:
-    finite = values[np.isfinite(values)]
-    if finite.size == 0:
-        axes.text(0.5, 0.5, f"no {name} stated", transform=axes.transAxes, ha="center", va="center")
-        axes.set_axis_off()
-        return
-    low, high = np.percentile(finite, [1, 99])
-    shown = axes.imshow(values, cmap=colours, vmin=low, vmax=max(high, low + 1e-9), interpolation="nearest")
-    # sparse uncertainties stand at single pixels; a map needs its background to be told from missing
-    axes.set_facecolor(BACKGROUND)
-    figure.colorbar(shown, ax=axes, label=f"{name}, µm", extend="both", shrink=0.9)
-    _finish(axes, f"{name}, median {np.median(finite):.3g} µm", pixel_size_um)
+def _draw_row(sheet: Sheet, result: Reconstruction, height: float, draws: tuple[Draw, ...]) -> None:
+    """Draw three panels side by side, each with a colour bar where it has colours."""
+    sheet.below_top += TITLE
+    for column, draw in enumerate(draws):
+        # the axis labels of a chart stand inside its cell
+        inset = INSETS.get(draw, 0.0)
+        axes = sheet.axes(MARGIN + column * (CELL + GAP) + inset, CELL - inset, height)
+        axes.set_anchor("NW")
+        shown = draw(axes, result)
+        if shown is not None:
+            _draw_bar(sheet, axes, shown, draw)
+    sheet.below_top += height + BAR
 
 
-def _draw_relief(axes: Axes, result: Reconstruction) -> None:
-    blur_px = point_spacing_px(result)
-    z_um = smoothed(result.heights.z_um, blur_px) if blur_px > 2 else result.heights.z_um
-    shade = hillshade(z_um, result.heights.pixel_size_um)
-    axes.imshow(shade, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
-    axes.set_facecolor(BACKGROUND)
-    over = f", smoothed over {blur_px:.0f} px" if blur_px > 2 else ""
-    _finish(axes, f"relief, lit from the upper left{over}", result.heights.pixel_size_um)
+def _draw_bar(sheet: Sheet, axes: Axes, shown: ColorizingArtist, draw: Draw) -> None:
+    """Draw a colour bar along what was drawn: below a map, beside a square."""
+    axes.apply_aspect()
+    box, upright = axes.get_position(), draw is draw_pairs
+    thick, away = 0.12, 0.1
+    if upright:
+        place = (box.x1 + away / WIDTH, box.y0, thick / WIDTH, box.height)
+    else:
+        place = (box.x0, box.y0 - (away + thick) / sheet.height, box.width, thick / sheet.height)
+    direction = "vertical" if upright else "horizontal"
+    bar = sheet.figure.colorbar(shown, cax=sheet.figure.add_axes(place), orientation=direction, extend="both")
+    bar.set_label(UNITS[draw], fontsize=9, labelpad=3 if upright else 1)
+    bar.ax.tick_params(labelsize=9)
 
 
-def _finish(axes: Axes, title: str, pixel_size_um: float) -> None:
-    axes.set_title(title, fontsize=10)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    _scale_bar(axes, pixel_size_um)
+def _thumbnail_grid(result: Reconstruction) -> tuple[int, float]:
+    """Columns and height of the thumbnails."""
+    optics = result.series.optics
+    columns = min(max(len(result.series), LEAST_A_ROW), THUMBS_A_ROW)
+    width = (WIDTH - 2 * MARGIN) / columns - 0.1
+    return columns, width * min(optics.height_px / optics.width_px, 1.4)
 
 
-def _scale_bar(axes: Axes, pixel_size_um: float) -> None:
-    """Draw a bar of a round length, about a quarter of the width, in the lower left corner."""
-    left, right = axes.get_xlim()
-    bottom, top = axes.get_ylim()
-    width = right - left
-    length_um = round_length(width * pixel_size_um / 4)
-    x, y = left + 0.04 * width, bottom + 0.05 * (top - bottom)
-    outline: dict[str, Any] = {"facecolor": "black", "alpha": 0.6, "edgecolor": "none", "pad": 2.0}
-    axes.plot([x, x + length_um / pixel_size_um], [y, y], color="black", linewidth=5, solid_capstyle="butt")
-    axes.plot([x, x + length_um / pixel_size_um], [y, y], color="white", linewidth=3, solid_capstyle="butt")
-    axes.annotate(
-        f"{length_um:g} µm", (x, y), xytext=(0, 6), textcoords="offset points", color="white", fontsize=8, bbox=outline
+def _draw_thumbnails(sheet: Sheet, result: Reconstruction) -> None:
+    """Draw all images with their tilts; the reference has a frame."""
+    columns, height = _thumbnail_grid(result)
+    step, tilts = (WIDTH - 2 * MARGIN) / columns, view_tilts(result)
+    sheet.write(
+        MARGIN, "All images, with the stated tilt" + (" → the tilt found" if tilts.refined else ""), fontsize=10
     )
+    sheet.below_top += TITLE
+    for i, view in enumerate(result.series.views):
+        axes = sheet.axes(MARGIN + (i % columns) * step, step - 0.1, height)
+        low, high = grey_range(view.image)
+        shown = block_means(view.image.astype(np.float64), math.ceil(max(view.image.shape) / 200))
+        axes.imshow(shown, cmap="gray", vmin=low, vmax=high)
+        axes.set(xticks=[], yticks=[])
+        axes.set_anchor("N")
+        reference = i == tilts.reference
+        axes.spines[:].set(color=REFERENCE if reference else "#999999", linewidth=2.5 if reference else 0.5)
+        found = f" → {in_words(tilts.found_deg[i])}°" if tilts.refined and np.isfinite(tilts.found_deg[i]) else ""
+        words = f"{shortened(f'{i + 1}: {view.name}', int(step / LETTER))}\n{plain(view.tilt_deg)}°{found}"
+        axes.set_xlabel(words, fontsize=9, parse_math=False, color=REFERENCE if reference else "black", labelpad=3)
+        if i % columns == columns - 1:
+            sheet.below_top += height + THUMB_WORDS
 
 
-def _title(result: Reconstruction) -> str:
-    tilts = ", ".join(f"{tilt:g}" for tilt in result.series.tilts_deg)
-    sigma = result.median_sigma_um
-    lines = [
-        f"{result.method}: {len(result.series)} views at {tilts}°, "
-        f"{1000 * result.series.optics.pixel_size_um:.4g} nm a pixel",
-        f"{len(result.points)} points, heights on {result.completeness:.0%} of the image, "
-        f"relief {result.relief_um:.3g} µm, median sigma {'not stated' if math.isnan(sigma) else f'{sigma:.2g} µm'}",
-    ]
-    shown = [textwrap.fill(f"Warning: {warning}", LINE, subsequent_indent="   ") for warning in result.warnings[:MOST]]
-    more = [f"and {len(result.warnings) - MOST} more warnings in report.json"] if len(result.warnings) > MOST else []
-    return "\n".join([*lines, *shown, *more])
+def shortened(name: str, letters: int) -> str:
+    """Cut the middle out of a long name: series differ at the end, specimens at the beginning."""
+    half = (letters - 1) // 2
+    return name if len(name) <= letters else f"{name[:half]}…{name[-half:]}"

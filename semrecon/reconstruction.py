@@ -44,6 +44,8 @@ class Reconstruction:
         Who stated the pixel size and the tilts.
     meshing
         How the mesh was made: "triangles" of the reference view, or "poisson".
+    later_views
+        Pose of each further image of unknown orientation (`semrecon.later_views`), ready for the report.
     """
 
     series: TiltSeries
@@ -58,11 +60,17 @@ class Reconstruction:
     seconds: Mapping[str, float] = field(default_factory=dict)
     sources: tuple[str, ...] = ()
     meshing: str = "triangles"
+    later_views: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def median_sigma_um(self) -> float:
         """Median standard deviation along z of the points, um; NaN where the method states none."""
         return finite_median(self.points.sigma_um)
+
+    @property
+    def fitted(self) -> PointCloud:
+        """Points whose residuals tell how well the poses fit: the ties where the method names them."""
+        return self.points if self.estimate.ties is None else self.estimate.ties
 
     @property
     def completeness(self) -> float:
@@ -96,6 +104,7 @@ def report(result: Reconstruction) -> dict[str, Any]:
         "heights": {"completeness": result.completeness, "relief_um": result.relief_um},
         "texture": surface_texture(result.heights),
         "meshing": result.meshing,
+        "later_views": result.later_views,
         "diagnostics": result.estimate.diagnostics,
         "warnings": result.warnings,
         "versions": versions(),
@@ -131,6 +140,7 @@ def _poses(result: Reconstruction) -> list[dict[str, Any]] | None:
 def _counts(result: Reconstruction) -> dict[str, Any]:
     return {
         "points": len(result.points),
+        "ties": None if result.estimate.ties is None else len(result.estimate.ties),
         "height_pixels": int(np.isfinite(result.heights.z_um).sum()),
         "mesh_vertices": len(result.mesh.vertices_um),
         "mesh_faces": len(result.mesh.faces),
@@ -140,7 +150,7 @@ def _counts(result: Reconstruction) -> dict[str, Any]:
 
 
 def _residuals(result: Reconstruction) -> dict[str, Any]:
-    residual = result.points.residual_px
+    residual = result.fitted.residual_px
     finite = residual[np.isfinite(residual)]
     return {
         "reprojection_median_px": finite_median(residual),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from known_surface import KnowsTheBump, bump_series
@@ -10,7 +13,7 @@ from rerun.chunk import Chunk, RrdReader
 from semrecon.geometry import nominal_poses, project
 from semrecon.pipeline import reconstruct
 from semrecon.reconstruction import Reconstruction
-from semrecon.recording import height_colours, plane_corners, vertex_normals, write_recording
+from semrecon.recording import eight_bits, plane_corners, ramp_colours, vertex_normals, write_recording
 
 TILTS = (-4.5, 0.0, 6.0)
 
@@ -33,7 +36,20 @@ def chunks(reader: RrdReader, entity: str) -> list[Chunk]:
 
 @pytest.mark.parametrize(
     "entity",
-    ["/image", "/heights", "/about", "/world/points", "/world/mesh", "/world/view/plane", "/world/view/beam"],
+    [
+        "/image",
+        "/heights",
+        "/sigma",
+        "/about",
+        "/world/points",
+        "/world/residuals",
+        "/world/sigma",
+        "/world/mesh",
+        "/world/view/plane",
+        "/world/view/beam",
+        "/world/beams/stated",
+        "/world/beams/found",
+    ],
 )
 def test_every_part_is_there(reader: RrdReader, entity: str) -> None:
     assert sum(chunk.num_rows for chunk in chunks(reader, entity)) >= 1
@@ -51,6 +67,32 @@ def test_all_points_are_there(reader: RrdReader, result: Reconstruction) -> None
     column = next(name for name in batch.schema.names if name.endswith("positions"))
     positions = np.array(batch.column(column)[0].as_py())
     np.testing.assert_allclose(positions, result.points.xyz_um, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["stated", "found"])
+def test_beams_come_from_the_gun(reader: RrdReader, result: Reconstruction, name: str) -> None:
+    batch = chunks(reader, f"/world/beams/{name}")[0].to_record_batch()
+    column = next(found for found in batch.schema.names if found.endswith("vectors"))
+    vectors = np.array(batch.column(column)[0].as_py())
+    assert result.estimate.poses is not None
+    np.testing.assert_allclose(
+        vectors / np.linalg.norm(vectors, axis=1, keepdims=True), result.estimate.poses.rotations[:, 2], atol=1e-6
+    )
+    assert (vectors[:, 2] < 0).all()
+
+
+def test_points_without_residuals_have_no_colours_of_them(result: Reconstruction, tmp_path: Path) -> None:
+    points = replace(result.points, residual_px=np.full(len(result.points), np.nan))
+    write_recording(replace(result, points=points), tmp_path / "a.rrd")
+    assert chunks(RrdReader(tmp_path / "a.rrd"), "/world/residuals") == []
+    assert chunks(RrdReader(tmp_path / "a.rrd"), "/world/points") != []
+
+
+def test_images_are_averaged_to_what_a_screen_holds() -> None:
+    image = np.tile(np.array([[0, 200], [200, 400]], dtype=np.uint16), (700, 600))
+    shown = eight_bits(image)
+    assert shown.shape == (700, 600)
+    np.testing.assert_array_equal(shown, 128)  # the mean, half-way between black and white
 
 
 def test_it_brings_its_blueprint(reader: RrdReader) -> None:
@@ -74,7 +116,7 @@ def test_normals_of_a_plane() -> None:
 
 
 def test_colours_run_with_height_and_grey_means_missing() -> None:
-    colours = height_colours(np.array([*np.linspace(0, 1, 101), np.nan])).astype(int)
+    colours = ramp_colours(np.array([*np.linspace(0, 1, 101), np.nan])).astype(int)
     brightness = colours[:-1].sum(axis=1)
     assert (np.diff(brightness) >= 0).all()
     assert tuple(colours[-1]) == (150, 150, 150)

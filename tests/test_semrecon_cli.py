@@ -89,7 +89,18 @@ def test_plain_images_give_what_the_folder_gives(
     series: Path, images: list[Path], tmp_path: Path, quick: list[str]
 ) -> None:
     run("reconstruct", series, "--out", tmp_path / "a")
-    result = run("reconstruct", *images, "--tilts", "0,6,12", "--pixel-size-um", "0.1", "--out", tmp_path / "b")
+    result = run(
+        "reconstruct",
+        *images,
+        "--tilts",
+        "0,6,12",
+        "--pixel-size-um",
+        "0.1",
+        "--tilt-axis-deg",
+        "0",
+        "--out",
+        tmp_path / "b",
+    )
     assert result.exit_code == 0, result.output
     for name in ("height.tif", "sigma.tif", "points.ply", "mesh.ply"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
@@ -183,3 +194,79 @@ def test_info_of_real_zeiss_files() -> None:
     files = sorted((Path(os.environ["SEM_REAL_DATA"]) / "potamogeton").glob("*.tif"))
     result = run("info", *files)
     assert [line.split()[7] for line in result.stdout.splitlines()[1:8]] == ["-9", "-6", "-3", "0", "3", "6", "9"]
+
+
+def test_the_default_method_can_be_told_to_trust_the_stage(series: Path, tmp_path: Path) -> None:
+    result = run("reconstruct", series, "--out", tmp_path / "out", "--no-refine")
+    assert result.exit_code == 0, result.output
+    held = report(tmp_path / "out")["options"]["refinement"]
+    assert not any(held[part] for part in ("tilts", "axis", "magnifications", "rotations"))
+
+
+def test_options_of_the_method_reach_the_report(series: Path, tmp_path: Path) -> None:
+    flags = ["--method", "known_rotation", "--refine", "--tilt-sigma-deg", "0.5", "--set", "pairs=all"]
+    result = run("reconstruct", series, "--out", tmp_path / "out", *flags)
+    assert result.exit_code == 0, result.output
+    options = report(tmp_path / "out")["options"]
+    assert options["refine"] is True
+    assert options["refinement"]["tilt_sigma_deg"] == 0.5
+    assert options["pairs"] == "all"
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--tilt-sigma-deg", "0"], "--tilt-sigma-deg must be a positive number"),
+        (["--set", "speed=3"], "no option 'speed'"),
+        (["--set", "refine"], "NAME=VALUE"),
+        (["--method", "disparity", "--refine"], "refines nothing, so --refine does not go with it"),
+        (["--method", "disparity", "--no-refine"], "refines nothing, so --no-refine does not go with it"),
+    ],
+)
+def test_options_that_do_not_fit_are_one_sentence(series: Path, tmp_path: Path, flags: list[str], said: str) -> None:
+    result = run("reconstruct", series, "--out", tmp_path / "out", "--method", "known_rotation", *flags)
+    assert result.exit_code == 2
+    assert said in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_reconstructions_are_compared(series: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        run("reconstruct", series, "--out", tmp_path / name, "--method", "known_rotation")
+    result = run("compare", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "difference")
+    assert result.exit_code == 0, result.output
+    content = json.loads((tmp_path / "difference" / "comparison.json").read_text())
+    assert content["difference"]["median_abs_um"] == 0.0
+    assert (tmp_path / "difference" / "difference.tif").is_file()
+    refused = run("compare", tmp_path / "a", tmp_path / "missing")
+    assert refused.exit_code == 2
+    assert "missing" in refused.stderr
+
+
+def test_a_later_view_is_posed_or_says_why_not(series: Path, tmp_path: Path) -> None:
+    blank = tmp_path / "blank.tif"
+    tifffile.imwrite(blank, np.full((120, 160), 7, dtype=np.uint8))
+    flags = ["--method", "known_rotation", "--later", blank, "--later", series / "view_01.tif"]
+    result = run("reconstruct", series, "--out", tmp_path / "out", *flags)
+    assert result.exit_code == 0, result.output
+    failed, posed = report(tmp_path / "out")["later_views"]
+    assert "blank.tif" in result.stderr
+    assert failed["failure"]
+    tilt = np.rad2deg(np.arctan2(-posed["rotation_cam_from_world"][2][0], -posed["rotation_cam_from_world"][2][2]))
+    assert abs(tilt) == pytest.approx(6.0, abs=0.5)
+
+
+def test_a_working_distance_makes_the_projection_central(series: Path, tmp_path: Path) -> None:
+    result = run("reconstruct", series, "--out", tmp_path / "out", "--working-distance-mm", "5")
+    assert result.exit_code == 0, result.output
+    assert report(tmp_path / "out")["series"]["inverse_working_distance"] == pytest.approx(1 / 5000)
+    refused = run("reconstruct", series, "--out", tmp_path / "no", "--working-distance-mm", "0")
+    assert (refused.exit_code, "--working-distance-mm must be" in refused.stderr) == (2, True)
+
+
+def test_methods_that_look_at_no_tilts_ask_for_none(images: list[Path], tmp_path: Path) -> None:
+    given = [images[0], "--pixel-size-um", "0.1", "--out", tmp_path / "out", "--crop-bottom", "0"]
+    result = run("reconstruct", *given, "--method", "shape_from_shading")
+    assert result.exit_code == 0, result.output
+    refused = run("reconstruct", *images[:2], *given[1:], "--method", "known_rotation")
+    assert (refused.exit_code, "states no tilt angle" in refused.stderr) == (2, True)

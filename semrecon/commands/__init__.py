@@ -1,0 +1,1 @@
+"""The commands of `semrecon`, one file each; `semrecon.cli` gathers them."""
