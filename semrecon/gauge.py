@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -98,8 +97,8 @@ def gauge_fit(
     norm
         ``squares``: least squares, so an offset is the mean error: what suits an RMS. ``absolute``: offset and plane by
         least absolute error (an offset is the median error), which does not follow outliers; scale, sign, and whether
-        a freedom is used at all, by the median absolute error, which is what is scored. So no freedom can cost a
-        method anything: a wider gauge never has the larger RMS or median.
+        plane and scale are used at all, by the median absolute error, which is what is scored. So neither can cost a
+        method anything: a wider gauge never has the larger RMS, nor, with the offset alike, the larger median.
     narrower
         Whether a freedom may go unused under ``absolute``. It may for a score; but relief of a wrong size scores well
         where most of the scene is flat, so that to bring surfaces together all freedoms should be used.
@@ -153,8 +152,9 @@ def _by_squares(estimated: Array, true: Array, gauge: Sequence[Gauge], xy: Array
 def _by_median(
     estimated: Array, true: Array, gauge: Sequence[Gauge], xy: Array | None, narrower: bool
 ) -> Iterator[GaugeFit]:
-    """Yield members of the gauge, and where wanted of every narrower one, for the least median to be taken."""
-    for offset, plane in product(_choices("offset", gauge, narrower), _choices("plane", gauge, narrower)):
+    """Yield members of the gauge, and where wanted without plane or scale, for the least median to be taken."""
+    offset = "offset" in gauge  # always taken where it is free: to leave it would spoil all but the median
+    for plane in _choices("plane", gauge, narrower):
         columns = _columns(xy if plane else None)
         scales = _scales(estimated, true, columns, offset) if "scale" in gauge else ()
         for scale in (1.0, *scales) if narrower or not scales else scales:
