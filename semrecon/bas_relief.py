@@ -15,8 +15,6 @@ from semrecon.errors import MethodError
 LEAST_PIXELS = 100
 LEAST_FACTOR = 1e-3
 """Third singular value over the first below which the channels do not show three directions."""
-DISTINCT = 0.5
-"""Most that the best answer to the lack of curl may leave of what the second best leaves."""
 
 
 def three_factors(signals: Array, known: Mask) -> tuple[Array, Array]:

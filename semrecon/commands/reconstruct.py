@@ -51,7 +51,9 @@ TiltSigma = Annotated[
 ]
 Settings = Annotated[
     list[str] | None,
-    typer.Option("--set", help="Option of the method, as pairs=adjacent. Repeatable.", metavar="NAME=VALUE"),
+    typer.Option(
+        "--set", help="Option of the method, as refinement.axis_sigma_deg=5. Repeatable.", metavar="NAME=VALUE"
+    ),
 ]
 Later = Annotated[
     list[Path] | None,
