@@ -29,7 +29,9 @@ JUDGES = (
     "benchmarks/judge.py",
     "benchmarks/evaluate.py",
     "benchmarks/surface_score.py",
-    *(f"semrecon/{name}.py" for name in ("gauge", "metrics", "error_split", "geometry", "meshing")),
+    "semrecon/judging",
+    "semrecon/geometry.py",
+    "semrecon/surface/meshing.py",
 )
 """What decides a score, given an estimate."""
 

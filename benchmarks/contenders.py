@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from semrecon.correspondence import PairMatches
 from semrecon.data import PointCloud, TiltSeries
+from semrecon.matches.correspondence import PairMatches
 from semrecon.methods.disparity import map_pair
 from semrecon.methods.known_rotation import reconstruct_pair
 

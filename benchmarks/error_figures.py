@@ -13,7 +13,7 @@ from benchmarks.case import is_oracle
 from benchmarks.error_maps import ErrorMap, Strip
 from benchmarks.leaderboard import MARK
 from benchmarks.report_figures import ERRORS, MISSING, UNJUDGED
-from semrecon.maps import round_length
+from semrecon.output.maps import round_length
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,11 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from semrecon.clouds.registration import SequenceRegistration
 from semrecon.data import Array, HeightMap, Mask, PointCloud
-from semrecon.gauge import gauge_residual
+from semrecon.judging.gauge import gauge_residual
+from semrecon.judging.metrics import DepthErrors, depth_errors, relative_rotation_error_deg, rmse_um
 from semrecon.methods.base import Gauge
-from semrecon.metrics import DepthErrors, depth_errors, relative_rotation_error_deg, rmse_um
-from semrecon.registration import SequenceRegistration
 from semsim.truth import GroundTruth
 
 

@@ -11,13 +11,13 @@ from benchmarks.evaluate import true_heights
 from benchmarks.scenes import SimulatedSource
 from benchmarks.surface_score import cloud_in_world, f_scores, normal_error_deg, world_points
 from semrecon.data import Array, Estimate, HeightMap, Mask, PointCloud, Poses, TiltSeries
-from semrecon.error_split import error_split
 from semrecon.errors import InputError, MethodError
-from semrecon.gauge import GaugeFit, gauge_fit
 from semrecon.geometry import nominal_poses, project, view_from_world
+from semrecon.judging.error_split import error_split
+from semrecon.judging.gauge import GaugeFit, gauge_fit
+from semrecon.judging.metrics import DepthErrors, depth_errors, relative_rotation_error_deg
 from semrecon.methods.base import Gauge
-from semrecon.metrics import DepthErrors, depth_errors, relative_rotation_error_deg
-from semrecon.motion import rotation_angle_rad
+from semrecon.numerics.motion import rotation_angle_rad
 from semsim.truth import GroundTruth
 
 Metrics = dict[str, float]
@@ -68,7 +68,7 @@ def judge(
 
 def filled(estimate: Estimate, series: TiltSeries) -> HeightMap | None:
     """Heights between the points of an estimate that has no others; None where they make no surface."""
-    from semrecon.meshing import height_map_from_points
+    from semrecon.surface.meshing import height_map_from_points
 
     if estimate.points is None or not len(estimate.points):
         return None

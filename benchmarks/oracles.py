@@ -15,20 +15,20 @@ from typing import ClassVar, Protocol
 import numpy as np
 from scipy.spatial import cKDTree
 
-from semrecon.correspondence import PairMatches, match_adjacent_pairs, match_pairs, pair_geometry
+from semrecon.clouds.registration import Registration
 from semrecon.data import Array, Estimate, HeightMap, PointCloud, Poses, TiltSeries
-from semrecon.features import detect_features
 from semrecon.geometry import CAM_FROM_VIEW, rotations_from_tilts
-from semrecon.matching import Index, Matches
+from semrecon.matches.correspondence import PairMatches, match_adjacent_pairs, match_pairs, pair_geometry
+from semrecon.matches.features import detect_features
+from semrecon.matches.matching import Index, Matches
+from semrecon.matches.tracks import join_matches
 from semrecon.methods.base import Gauge
 from semrecon.methods.known_rotation import KnownRotation, reconstruct_pair
 from semrecon.methods.pair_clouds import heights_of, pair_clouds_of, register_pair_clouds
-from semrecon.motion import RigidMotion
-from semrecon.registration import Registration
-from semrecon.robust import fit_noise
-from semrecon.sightings import without_wrong_sightings
-from semrecon.tracks import join_matches
-from semrecon.triangulation import triangulate
+from semrecon.numerics.motion import RigidMotion
+from semrecon.numerics.robust import fit_noise
+from semrecon.points.sightings import without_wrong_sightings
+from semrecon.points.triangulation import triangulate
 from semsim.truth import GroundTruth
 
 ENOUGH_FEATURES = 50

@@ -17,7 +17,7 @@ from benchmarks.summary import PROPOSED, summary
 from benchmarks.tables import write_csv
 from semrecon.data import SurfaceMesh
 from semrecon.errors import InputError
-from semrecon.meshing import mesh_from_points, statistical_outliers
+from semrecon.surface.meshing import mesh_from_points, statistical_outliers
 
 LEDGER = "ledger.sqlite"
 Report = Callable[[str, int, int], None]

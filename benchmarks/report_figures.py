@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semrecon.data import Array, Image, Mask
-from semrecon.glance import block_means, grey_range
-from semrecon.maps import round_length
+from semrecon.output.glance import block_means, grey_range
+from semrecon.output.maps import round_length
 
 HEIGHTS = ("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725")
 """Even in lightness, also to the colour-blind: viridis at nine places."""

@@ -16,7 +16,7 @@ from benchmarks.report_figures import Figure, Panel, error_curves, error_panel, 
 from benchmarks.stored import unpacked
 from benchmarks.suite import BenchScene
 from semrecon.data import Array, Mask, TiltSeries
-from semrecon.gauge import gauge_fit, gauge_residual
+from semrecon.judging.gauge import gauge_fit, gauge_residual
 
 HELD_PERCENT = 90.0
 """The colours of errors end where so many percent of the errors of the middle method do."""

@@ -15,15 +15,15 @@ from benchmarks.evaluate import cloud_score, map_score, registration_score
 from benchmarks.ledger import Row
 from benchmarks.runner import Job, code_version, digest, seed_of
 from benchmarks.scenes import Source, views_from_world
-from semrecon.correspondence import CorrespondenceOptions, PairMatches, match_pairs
+from semrecon.clouds.registration import SequenceRegistration, register_sequence
 from semrecon.data import Array, HeightMap, Optics, PointCloud, TiltSeries
 from semrecon.errors import MethodError
 from semrecon.geometry import CAM_FROM_VIEW
-from semrecon.meshing import height_map_from_points
+from semrecon.judging.metrics import DepthErrors
+from semrecon.matches.correspondence import CorrespondenceOptions, PairMatches, match_pairs
 from semrecon.methods.disparity import adjacent_pairs
 from semrecon.methods.known_rotation import KnownRotation
-from semrecon.metrics import DepthErrors
-from semrecon.registration import SequenceRegistration, register_sequence
+from semrecon.surface.meshing import height_map_from_points
 from semsim.truth import GroundTruth
 
 STUDY = "paper"

@@ -15,12 +15,12 @@ import pytest
 from numpy.typing import NDArray
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from semrecon.adjustment.refinement import refine
+from semrecon.clouds.icp import icp
+from semrecon.clouds.open3d_icp import icp_open3d
 from semrecon.data import Optics, PointCloud, Tracks
 from semrecon.geometry import project, rotations_from_tilts, tilt_rotation
-from semrecon.icp import icp
-from semrecon.open3d_icp import icp_open3d
-from semrecon.refinement import refine
-from semrecon.translation import solve_closed_form, solve_generalised_inverse
+from semrecon.points.translation import solve_closed_form, solve_generalised_inverse
 from semsim.capture import simulate
 from semsim.charging import ChargingOptions
 from semsim.detector import DetectorOptions

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from semrecon.calibration import perspective_warning
+from semrecon.input.calibration import perspective_warning
+from semrecon.photometry.relief_sign import inside_out_warning
 from semrecon.reconstruction import Reconstruction, finite_median
-from semrecon.relief_sign import inside_out_warning
 
 TYPICAL_NOISE_PX = 0.3
 """Matching noise assumed where the residuals say nothing, px."""

@@ -12,12 +12,12 @@ import numpy as np
 
 from semrecon import DEFAULT_METHOD
 from semrecon.cautions import cautions
-from semrecon.completion import complete
 from semrecon.data import TiltSeries
 from semrecon.errors import InputError
 from semrecon.methods.base import Method
-from semrecon.orientation import oriented
+from semrecon.pose.orientation import oriented
 from semrecon.reconstruction import Reconstruction
+from semrecon.surface.completion import complete
 
 AXIS_STREAM = 1
 """Sets the random choices of the axis apart from those of the method."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from semrecon.data import Array, Estimate, HeightMap, PointCloud, SurfaceMesh, TiltSeries
-from semrecon.texture import surface_texture
+from semrecon.surface.texture import surface_texture
 
 SCHEMA = "semrecon.reconstruction/1"
 """Mark by which a reconstruction folder knows its own kind."""
@@ -45,7 +45,7 @@ class Reconstruction:
     meshing
         How the mesh was made: "triangles" of the reference view, or "poisson".
     later_views
-        Pose of each further image of unknown orientation (`semrecon.later_views`), ready for the report.
+        Pose of each further image of unknown orientation (`semrecon.pose.later_views`), ready for the report.
     """
 
     series: TiltSeries

@@ -6,10 +6,10 @@ from itertools import combinations
 
 import numpy as np
 
-from semrecon.correspondence import PairMatches
 from semrecon.data import Array, Optics, Poses, TiltSeries, View
 from semrecon.geometry import project, rotations_from_tilts
-from semrecon.matching import Matches
+from semrecon.matches.correspondence import PairMatches
+from semrecon.matches.matching import Matches
 
 NEAR = Optics(0.5, 400, 300, 1 / 400)
 TILTS = (0.0, 15.0, -15.0, 30.0)

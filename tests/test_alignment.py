@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from semrecon.alignment import align, connected_views
-from semrecon.correspondence import CorrespondenceOptions
+from semrecon.adjustment.refinement_options import RefinementOptions
 from semrecon.data import Estimate, HeightMap, Optics, SurfaceMesh, TiltSeries, View
 from semrecon.errors import MethodError
-from semrecon.features import FeatureOptions
-from semrecon.glance import noise_px, pair_matrices, view_tilts
-from semrecon.phase_correlation import phase_shift
+from semrecon.matches.correspondence import CorrespondenceOptions
+from semrecon.matches.features import FeatureOptions
+from semrecon.matches.phase_correlation import phase_shift
+from semrecon.output.glance import noise_px, pair_matrices, view_tilts
+from semrecon.pose.alignment import align, connected_views
 from semrecon.reconstruction import Reconstruction
-from semrecon.refinement_options import RefinementOptions
 
 SHAPE = (150, 180)
 

@@ -7,11 +7,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from semrecon.affine_epipolar import fit_affine_epipolar
-from semrecon.axis import AxisEstimate, PairAxis, axis_contradiction, combine, difference_deg, pair_axis, principal_deg
 from semrecon.data import Array, Optics
 from semrecon.errors import MethodError
 from semrecon.geometry import project, rotations_from_tilts
+from semrecon.matches.affine_epipolar import fit_affine_epipolar
+from semrecon.pose.axis import (
+    AxisEstimate,
+    PairAxis,
+    axis_contradiction,
+    combine,
+    difference_deg,
+    pair_axis,
+    principal_deg,
+)
 
 OPTICS = Optics(0.1, 800, 600)
 AXES = (0.0, 30.0, 90.0, -60.0)

@@ -14,7 +14,7 @@ from known_surface import bump_series
 from typer.testing import CliRunner
 
 from semrecon.cli import app
-from semrecon.series import write_series
+from semrecon.input.series import write_series
 
 Arguments = list[object]
 

@@ -21,7 +21,7 @@ from benchmarks.runner import seed_of
 from benchmarks.scenes import RealSource, SimulatedSource, with_tilt_step
 from benchmarks.study import jobs, measure
 from semrecon.data import HeightMap, Optics
-from semrecon.series import write_series
+from semrecon.input.series import write_series
 from semsim.microscope import Microscope, TiltSchedule
 from semsim.scene import Scene
 from semsim.specimens import specimen_from

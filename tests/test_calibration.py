@@ -7,7 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from semrecon.calibration import (
+from semrecon.data import Optics
+from semrecon.errors import InputError
+from semrecon.geometry import project, tilt_rotation
+from semrecon.input.calibration import (
     magnification_at_dpi,
     magnification_on_print,
     perspective_bowl_um,
@@ -17,9 +20,6 @@ from semrecon.calibration import (
     pixel_size_from_magnification,
     pixel_size_from_print,
 )
-from semrecon.data import Optics
-from semrecon.errors import InputError
-from semrecon.geometry import project, tilt_rotation
 
 POLLEN_UM, DIATOM_UM = 5 / 34, 5 / 60
 

@@ -16,7 +16,7 @@ from scipy.ndimage import map_coordinates
 
 import semsim
 from benchmarks.adapt import series_from_capture
-from semrecon.series import read_series, read_series_file, series_from_file
+from semrecon.input.series import read_series, read_series_file, series_from_file
 from semsim.backscatter import BackscatterOptions
 from semsim.capture import Capture, Surfaces, channel_contrasts, expose, prepare, simulate
 from semsim.charging import ChargingOptions

@@ -13,16 +13,16 @@ from known_surface import KnowsTheBump, bump_series
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from semrecon.comparison import FILES, Comparison, compare, comparison_report, write_comparison
+from semrecon.agreement.comparison import FILES, Comparison, compare, comparison_report, write_comparison
+from semrecon.agreement.resampling import draw_grid
+from semrecon.agreement.saved import SavedSurface, read_surface, surface_of
+from semrecon.agreement.surface_alignment import Alignment
 from semrecon.data import Array, HeightMap, Optics
 from semrecon.errors import InputError
-from semrecon.export import write_reconstruction
 from semrecon.geometry import CAM_FROM_VIEW, project, rotations_from_tilts
+from semrecon.output.export import write_reconstruction
+from semrecon.output.ply import write_ply
 from semrecon.pipeline import reconstruct
-from semrecon.ply import write_ply
-from semrecon.resampling import draw_grid
-from semrecon.saved import SavedSurface, read_surface, surface_of
-from semrecon.surface_alignment import Alignment
 
 PIXEL_UM, ROWS, COLUMNS = 0.1, 120, 160
 OPTICS = Optics(PIXEL_UM, COLUMNS, ROWS)

@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 
 from benchmarks.adapt import series_from_capture
-from semrecon.completion import complete
 from semrecon.data import Array, Estimate, Image, TiltSeries
 from semrecon.errors import InputError, MethodError
-from semrecon.gauge import gauge_residual
+from semrecon.judging.gauge import gauge_residual
 from semrecon.methods import METHODS, Disparity, DisparityIcp, KnownRotation, Method
+from semrecon.surface.completion import complete
 from semsim.backscatter import BackscatterOptions
 from semsim.capture import simulate
 from semsim.microscope import TiltSchedule

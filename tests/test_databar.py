@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from semrecon.calibration import pixel_size_from_bar
+from semrecon.input.calibration import pixel_size_from_bar
 from semsim.databar import DataBarOptions, round_length, scale_bar, with_data_bar
 from semsim.errors import InputError
 from semsim.microscope import Microscope

@@ -13,13 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from known_surface import bump_series
 
-from semrecon.databar import find_data_bar
-from semrecon.dead_lines import dead_lines_of, find_dead_lines
-from semrecon.doubts import doubts
-from semrecon.features import detect_features, usable_pixels
-from semrecon.images import read_image
-from semrecon.intake import Intake, Stated, facts_of, take_in
-from semrecon.series import read_series, write_series
+from semrecon.input.databar import find_data_bar
+from semrecon.input.dead_lines import dead_lines_of, find_dead_lines
+from semrecon.input.doubts import doubts
+from semrecon.input.images import read_image
+from semrecon.input.intake import Intake, Stated, facts_of, take_in
+from semrecon.input.series import read_series, write_series
+from semrecon.matches.features import detect_features, usable_pixels
 from semsim.capture import simulate
 from semsim.scene import scaled
 from semsim.scenes import scene

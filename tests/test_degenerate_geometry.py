@@ -14,19 +14,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from semrecon.adjustment.refinement import Refinement, RefinementOptions, refine
+from semrecon.clouds.icp import PcregistericpStop, icp
+from semrecon.clouds.registration import icp_open3d, register_sequence
 from semrecon.data import Array, Optics, PointCloud, Poses, Tracks
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import centred_um, project, rotations_from_tilts
-from semrecon.icp import PcregistericpStop, icp
-from semrecon.joint_translation import solve_series
-from semrecon.meshing import height_map_from_points, mesh_from_points, without_outliers
-from semrecon.refinement import Refinement, RefinementOptions, refine
-from semrecon.registration import icp_open3d, register_sequence
-from semrecon.resection import add_view, ransac_pose
-from semrecon.sightings import without_wrong_sightings
-from semrecon.translation import solve_closed_form
-from semrecon.triangulation import triangulate
-from semrecon.view_pose import orthographic_pose
+from semrecon.points.joint_translation import solve_series
+from semrecon.points.sightings import without_wrong_sightings
+from semrecon.points.translation import solve_closed_form
+from semrecon.points.triangulation import triangulate
+from semrecon.pose.resection import add_view, ransac_pose
+from semrecon.pose.view_pose import orthographic_pose
+from semrecon.surface.meshing import height_map_from_points, mesh_from_points, without_outliers
 
 OPTICS = Optics(0.2, 200, 160)
 PERSPECTIVE = Optics(0.2, 200, 160, inverse_working_distance=1 / 5000)

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from benchmarks.adapt import series_from_capture
-from semrecon.alignment import Alignment, align
 from semrecon.data import Optics, PointCloud, Poses, TiltSeries, View
 from semrecon.dense.confidence import ConfidenceOptions
 from semrecon.dense.sightlines import sightlines
 from semrecon.errors import MethodError
 from semrecon.geometry import rotations_from_tilts
 from semrecon.methods.dense_multiview import DenseMultiview, _span_px
+from semrecon.pose.alignment import Alignment, align
 from semsim.capture import simulate
 from semsim.scenes import scene
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from semrecon.data import Array, Optics
-from semrecon.disparity import disparity_cloud
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import CAM_FROM_VIEW, centred_um, project, rotations_from_tilts, tilt_rotation
-from semrecon.translation import solve_closed_form
+from semrecon.points.disparity import disparity_cloud
+from semrecon.points.translation import solve_closed_form
 
 OPTICS = Optics(0.147, 854, 640)
 CASES = [(0.0, 3.0, 0.0), (4.0, 15.0, 0.0), (0.0, -15.0, 0.0), (2.0, 6.0, 90.0), (-3.0, 8.0, 35.0), (1.0, -9.0, -120.0)]

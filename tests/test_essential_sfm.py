@@ -10,13 +10,13 @@ from benchmarks.adapt import series_from_capture
 from benchmarks.evaluate import cloud_score
 from semrecon.data import View
 from semrecon.errors import InputError, MethodError
-from semrecon.essential import EssentialOptions
-from semrecon.gauge import gauge_residual
 from semrecon.geometry import project
-from semrecon.incremental import incremental
+from semrecon.judging.gauge import gauge_residual
 from semrecon.methods.essential_sfm import EssentialSfm
-from semrecon.pinhole import Pinholes, focal_length_px, in_series, intersect, residual_px
-from semrecon.pinhole_bundle import bundle, robust_cost
+from semrecon.perspective.essential import EssentialOptions
+from semrecon.perspective.incremental import incremental
+from semrecon.perspective.pinhole import Pinholes, focal_length_px, in_series, intersect, residual_px
+from semrecon.perspective.pinhole_bundle import bundle, robust_cost
 from semsim.capture import simulate
 from semsim.microscope import Microscope, TiltSchedule
 from semsim.scenes import scene

@@ -15,12 +15,12 @@ from typer.testing import CliRunner
 from semrecon.cli import app
 from semrecon.data import PointCloud
 from semrecon.errors import InputError
-from semrecon.export import FILES, MORE, write_reconstruction
 from semrecon.geometry import CAM_FROM_VIEW, tilt_rotation
+from semrecon.input.series import write_series
 from semrecon.methods import METHODS
+from semrecon.output.export import FILES, MORE, write_reconstruction
 from semrecon.pipeline import reconstruct
-from semrecon.poisson import poisson_mesh, with_mesh
-from semrecon.series import write_series
+from semrecon.surface.poisson import poisson_mesh, with_mesh
 
 RADIUS_UM, CAP_UM = 10.0, 6.0
 
@@ -70,7 +70,7 @@ def test_a_former_folder_with_further_formats_is_replaced_whole(series: Path) ->
 def test_an_unknown_choice_gets_a_sentence_before_any_work(
     series: Path, options: list[str], sentence: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("semrecon.intake.take_in", lambda *_: pytest.fail("work began"))
+    monkeypatch.setattr("semrecon.input.intake.take_in", lambda *_: pytest.fail("work began"))
     result = run(series, *options)
     assert result.exit_code == 2
     assert sentence in result.stderr
@@ -147,7 +147,7 @@ def test_the_same_cloud_gives_the_same_bits() -> None:
 
 
 def test_a_larger_cloud_is_thinned_the_same_way_every_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("semrecon.poisson.MOST_POINTS", 1000)
+    monkeypatch.setattr("semrecon.surface.poisson.MOST_POINTS", 1000)
     full = cloud(cap(3000))
     one, two = poisson_mesh(full), poisson_mesh(full)
     np.testing.assert_array_equal(one.vertices_um, two.vertices_um)

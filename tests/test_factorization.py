@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from semrecon.affine_cameras import AffineCameras, intersect, misses_px, reduced_equations, weights_of
-from semrecon.affine_cameras import loss as loss_of
 from semrecon.data import Tracks
 from semrecon.errors import MethodError
-from semrecon.factorization import factorize, in_frame_of
-from semrecon.gauge import gauge_residual
 from semrecon.geometry import CAM_FROM_VIEW, rotations_from_tilts
+from semrecon.judging.gauge import gauge_residual
 from semrecon.methods.affine_factorization import AffineFactorization
-from semrecon.metric_upgrade import linear_upgrade, mirrored, tilts_of, upgrade, with_sign
+from semrecon.uncalibrated.affine_cameras import AffineCameras, intersect, misses_px, reduced_equations, weights_of
+from semrecon.uncalibrated.affine_cameras import loss as loss_of
+from semrecon.uncalibrated.factorization import factorize, in_frame_of
+from semrecon.uncalibrated.metric_upgrade import linear_upgrade, mirrored, tilts_of, upgrade, with_sign
 from tests.known_surface import bump_series, bump_um, grid_um
 
 WIDE = Rotation.from_rotvec(0.4 * np.random.default_rng(3).normal(size=(6, 3))).as_matrix()

@@ -16,11 +16,12 @@ from matplotlib.transforms import Bbox
 from PIL import Image
 from scipy.stats import kstest
 
-from semrecon.charts import APART_DEG, labelled, opening
 from semrecon.data import Estimate, HeightMap, Optics, PointCloud, Poses, SurfaceMesh, TiltSeries, View
-from semrecon.figures import DPI, WIDTH, draw_page, write_summary
 from semrecon.geometry import rotations_from_tilts
-from semrecon.glance import (
+from semrecon.numerics.robust import fit_noise
+from semrecon.output.charts import APART_DEG, labelled, opening
+from semrecon.output.figures import DPI, WIDTH, draw_page, write_summary
+from semrecon.output.glance import (
     block_means,
     expected_density,
     facts,
@@ -33,7 +34,6 @@ from semrecon.glance import (
 )
 from semrecon.pipeline import reconstruct
 from semrecon.reconstruction import Reconstruction
-from semrecon.robust import fit_noise
 
 RNG = np.random.default_rng(7)
 SENTENCE = "a.tif and b.tif do not fit the stated geometry: along the tilt axis they differ in magnification by 1 %"

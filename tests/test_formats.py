@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from semrecon.data import HeightMap, PointCloud, SurfaceMesh
-from semrecon.sdf import write_sdf
-from semrecon.stl import write_stl
-from semrecon.x3p import write_x3p
-from semrecon.xyz import write_xyz
+from semrecon.output.sdf import write_sdf
+from semrecon.output.stl import write_stl
+from semrecon.output.x3p import write_x3p
+from semrecon.output.xyz import write_xyz
 
 SDF_FIELDS = ["ManufacID", "CreateDate", "ModDate", "NumPoints", "NumProfiles", "Xscale", "Yscale", "Zscale"]
 SDF_FIELDS += ["Zresolution", "Compression", "DataType", "CheckType"]

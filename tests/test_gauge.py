@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from semrecon.gauge import GAUGES, SCALE_REACH, SPREAD_REACH, gauge_fit, gauge_residual
-from semrecon.metrics import depth_errors
+from semrecon.judging.gauge import GAUGES, SCALE_REACH, SPREAD_REACH, gauge_fit, gauge_residual
+from semrecon.judging.metrics import depth_errors
 
 
 def places(shape):

@@ -9,7 +9,7 @@ import pytest
 from known_surface import KnowsTheBump, bump_series
 
 from semrecon.geometry import project
-from semrecon.height_origin import with_median_zero
+from semrecon.surface.height_origin import with_median_zero
 
 
 @pytest.mark.parametrize("reference", [0, 2])

@@ -21,10 +21,10 @@ from typer.testing import CliRunner
 
 from semrecon.cli import app
 from semrecon.errors import InputError
-from semrecon.images import MOST_PIXELS, read_image
-from semrecon.intake import Intake, Stated, take_in
-from semrecon.metadata import read_metadata
-from semrecon.vendors.base import LIMITS
+from semrecon.input.images import MOST_PIXELS, read_image
+from semrecon.input.intake import Intake, Stated, take_in
+from semrecon.input.metadata import read_metadata
+from semrecon.input.vendors.base import LIMITS
 
 GREY = np.random.default_rng(7).integers(1, 255, (40, 50), dtype=np.uint8)
 FEI = (

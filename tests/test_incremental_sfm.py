@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from semrecon.colmap import MapperOptions
 from semrecon.data import Optics, TiltSeries, View
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import project, rotations_from_tilts
 from semrecon.methods.incremental_sfm import IncrementalSfm
+from semrecon.perspective.colmap import MapperOptions
 from tests.known_surface import bump_series
 
 OPTICS = Optics(1.0, 240, 180, 1 / 500)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from semrecon.integration import IntegrationOptions, integrate_freely, integrate_slopes
+from semrecon.photometry.integration import IntegrationOptions, integrate_freely, integrate_slopes
 
 PIXEL_UM = 0.2
 

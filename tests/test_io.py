@@ -14,12 +14,12 @@ from PIL import Image
 
 from semrecon.data import TiltSeries, View
 from semrecon.errors import InputError
-from semrecon.export import FILES, write_map, write_reconstruction
-from semrecon.images import read_image
-from semrecon.metadata import read_metadata, zeiss
+from semrecon.input.images import read_image
+from semrecon.input.metadata import read_metadata, zeiss
+from semrecon.input.series import read_images, read_series, write_series
+from semrecon.output.export import FILES, write_map, write_reconstruction
 from semrecon.pipeline import reconstruct
 from semrecon.reconstruction import jsonable
-from semrecon.series import read_images, read_series, write_series
 
 GREY8 = np.random.default_rng(1).integers(0, 256, (40, 50), dtype=np.uint8)
 GREY16 = np.random.default_rng(2).integers(0, 65536, (40, 50), dtype=np.uint16)
@@ -371,7 +371,7 @@ def test_nothing_half_written(
     def interrupt(*_: object) -> None:
         raise interruption
 
-    monkeypatch.setattr("semrecon.figures.write_summary", interrupt)
+    monkeypatch.setattr("semrecon.output.figures.write_summary", interrupt)
     with pytest.raises(interruption):
         write_reconstruction(result, out)
     assert [path.name for path in tmp_path.iterdir()] == (["out"] if former else [])

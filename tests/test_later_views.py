@@ -15,16 +15,16 @@ from scipy.spatial.transform import Rotation
 from benchmarks.adapt import series_from_capture
 from semrecon.data import Array, Image, Optics
 from semrecon.errors import InputError
-from semrecon.features import FeatureOptions, Features, detect_features
 from semrecon.geometry import project, rotations_from_tilts
-from semrecon.later_views import LaterView, LaterViewOptions, later_views_report, pose_later_views
-from semrecon.magnified_pose import fit_pose
-from semrecon.matching import MatchOptions, match_exhaustively
+from semrecon.matches.features import FeatureOptions, Features, detect_features
+from semrecon.matches.matching import MatchOptions, match_exhaustively
+from semrecon.matches.unguided_matching import match_all
 from semrecon.methods import method_named
-from semrecon.motion import rotation_angle_rad
+from semrecon.numerics.motion import rotation_angle_rad
 from semrecon.pipeline import reconstruct
+from semrecon.pose.later_views import LaterView, LaterViewOptions, later_views_report, pose_later_views
+from semrecon.pose.magnified_pose import fit_pose
 from semrecon.reconstruction import Reconstruction
-from semrecon.unguided_matching import match_all
 from semsim.capture import prepare, simulate
 from semsim.microscope import Microscope, TiltSchedule
 from semsim.scenes import scene
@@ -181,7 +181,7 @@ def test_unguided_matching_equals_the_reference() -> None:
 
 @pytest.mark.slow
 def test_a_real_view_left_out_is_posed_where_the_refined_series_has_it(real_data: Path) -> None:
-    from semrecon.intake import take_in
+    from semrecon.input.intake import take_in
 
     series = take_in([real_data / "potamogeton" / f"pot_0{i}.tif" for i in range(7)]).series
     part = reconstruct(series.select(0, 1, 2, 3, 4, 6), method_named("known_rotation", refine=True))

@@ -11,8 +11,8 @@ from scipy import ndimage
 from benchmarks.adapt import series_from_capture
 from semrecon.data import Optics, TiltSeries, View
 from semrecon.errors import MethodError
-from semrecon.gauge import gauge_residual
 from semrecon.geometry import project
+from semrecon.judging.gauge import gauge_residual
 from semrecon.methods.light_field import LightField
 from semsim.capture import simulate
 from semsim.scene import scaled

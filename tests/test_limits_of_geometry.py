@@ -14,8 +14,8 @@ import pytest
 
 from semrecon.data import Array, Optics, PointCloud, Poses, Tracks
 from semrecon.geometry import centred_um, project, rotations_from_tilts
-from semrecon.translation import global_translations, solve_closed_form
-from semrecon.triangulation import pair_cloud, triangulate
+from semrecon.points.translation import global_translations, solve_closed_form
+from semrecon.points.triangulation import pair_cloud, triangulate
 
 OPTICS = Optics(5 / 34, 854, 640)
 SIGMA_PX = 0.3

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from semrecon.correspondence import CorrespondenceOptions, match_adjacent_pairs, match_pairs
 from semrecon.data import Optics, TiltSeries, View
-from semrecon.epipolar import Window, epipolar_geometry
 from semrecon.errors import InputError, MethodError
-from semrecon.features import FeatureOptions, Features, detect_features, usable_pixels
 from semrecon.geometry import rotations_from_tilts
-from semrecon.matching import MatchOptions, match_exhaustively, match_features
+from semrecon.matches.correspondence import CorrespondenceOptions, match_adjacent_pairs, match_pairs
+from semrecon.matches.epipolar import Window, epipolar_geometry
+from semrecon.matches.features import FeatureOptions, Features, detect_features, usable_pixels
+from semrecon.matches.matching import MatchOptions, match_exhaustively, match_features
 
 CENTRE = np.array([199.5, 149.5])
 ANYWHERE = Window()

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from semrecon.data import HeightMap, Optics, PointCloud
 from semrecon.errors import InputError
 from semrecon.geometry import CAM_FROM_VIEW, back_project, rotations_from_tilts, tilt_rotation
-from semrecon.meshing import (
+from semrecon.surface.meshing import (
     height_map_from_points,
     mesh_from_heights,
     mesh_from_points,
     statistical_outliers,
     without_outliers,
 )
-from semrecon.triangles import TriangleLimits, fill_triangles, triangulate
+from semrecon.surface.triangles import TriangleLimits, fill_triangles, triangulate
 
 OPTICS = Optics(0.5, 48, 40)
 

@@ -16,21 +16,21 @@ from hypothesis import strategies as st
 from PIL import Image
 from typer.testing import CliRunner
 
-from semrecon.bottom import bottom_of, dead_rows
 from semrecon.cli import app
-from semrecon.databar import common_data_bar, find_data_bar
-from semrecon.doubts import doubts
 from semrecon.errors import InputError
-from semrecon.images import read_image
-from semrecon.intake import Stated, facts_of, take_in
-from semrecon.metadata import ImageMetadata, read_metadata
-from semrecon.vendors.base import LIMITS, length_um, number, pair
-from semrecon.vendors.fei import fei
-from semrecon.vendors.hitachi import hitachi
-from semrecon.vendors.jeol import jeol
-from semrecon.vendors.tescan import tescan_header, tescan_tag
-from semrecon.vendors.text import sections
-from semrecon.vendors.zeiss import zeiss
+from semrecon.input.bottom import bottom_of, dead_rows
+from semrecon.input.databar import common_data_bar, find_data_bar
+from semrecon.input.doubts import doubts
+from semrecon.input.images import read_image
+from semrecon.input.intake import Stated, facts_of, take_in
+from semrecon.input.metadata import ImageMetadata, read_metadata
+from semrecon.input.vendors.base import LIMITS, length_um, number, pair
+from semrecon.input.vendors.fei import fei
+from semrecon.input.vendors.hitachi import hitachi
+from semrecon.input.vendors.jeol import jeol
+from semrecon.input.vendors.tescan import tescan_header, tescan_tag
+from semrecon.input.vendors.text import sections
+from semrecon.input.vendors.zeiss import zeiss
 from semsim.databar import DataBarOptions, with_data_bar
 from semsim.microscope import Microscope
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from semrecon.correspondence import CorrespondenceOptions, match_adjacent_pairs
 from semrecon.data import Estimate, Optics, TiltSeries, View
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import project, rotations_from_tilts
+from semrecon.matches.correspondence import CorrespondenceOptions, match_adjacent_pairs
 from semrecon.methods import METHODS, Disparity, DisparityIcp, KnownRotation, method_named
 
 OPTICS = Optics(0.1, 220, 180)

@@ -12,9 +12,9 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
 from semrecon.errors import InputError
-from semrecon.gauge import gauge_residual
 from semrecon.geometry import tilt_rotation
-from semrecon.metrics import (
+from semrecon.judging.gauge import gauge_residual
+from semrecon.judging.metrics import (
     depth_errors,
     error_split,
     relative_rotation_error_arccos_deg,

@@ -11,12 +11,12 @@ from benchmarks.adapt import series_from_capture
 from benchmarks.evaluate import cloud_score, commonly_visible, map_score
 from semrecon.data import View
 from semrecon.errors import MethodError
-from semrecon.features import FeatureOptions, detect_features
-from semrecon.gauge import gauge_residual
 from semrecon.geometry import project
+from semrecon.judging.gauge import gauge_residual
+from semrecon.matches.features import FeatureOptions, detect_features
+from semrecon.matches.unguided_matching import UnguidedOptions
 from semrecon.methods.affine_factorization import AffineFactorization
 from semrecon.methods.multiview_sfm import MultiviewSfm
-from semrecon.unguided_matching import UnguidedOptions
 from semsim.capture import simulate
 from semsim.scene import scaled
 from semsim.scenes import scene

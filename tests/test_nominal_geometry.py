@@ -13,8 +13,8 @@ from known_surface import bump_series
 from benchmarks.adapt import series_from_capture
 from semrecon.data import ChannelGeometry, View
 from semrecon.errors import InputError
-from semrecon.intake import Stated, take_in
-from semrecon.series import read_series, read_series_file, write_series
+from semrecon.input.intake import Stated, take_in
+from semrecon.input.series import read_series, read_series_file, write_series
 from semsim.backscatter import BackscatterOptions
 from semsim.capture import Capture, simulate
 from semsim.io import write_series as write_simulated

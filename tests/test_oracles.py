@@ -11,10 +11,10 @@ import pytest
 from benchmarks.adapt import series_from_capture
 from benchmarks.evaluate import true_heights
 from benchmarks.oracles import ORACLES, OracleMatches, OracleRegistration, OracleTranslation, label, true_motions
-from semrecon.correspondence import CorrespondenceOptions, match_adjacent_pairs
 from semrecon.data import Array, Estimate, TiltSeries
-from semrecon.gauge import gauge_residual
 from semrecon.geometry import view_from_world
+from semrecon.judging.gauge import gauge_residual
+from semrecon.matches.correspondence import CorrespondenceOptions, match_adjacent_pairs
 from semrecon.methods import METHODS, KnownRotation
 from semrecon.methods.known_rotation import reconstruct_pair
 from semsim.capture import simulate

@@ -9,8 +9,8 @@ import pytest
 from known_surface import bump_series
 
 from semrecon.data import TiltSeries, View
-from semrecon.orientation import oriented
 from semrecon.pipeline import reconstruct
+from semrecon.pose.orientation import oriented
 
 
 @pytest.fixture(scope="module")

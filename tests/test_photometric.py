@@ -8,13 +8,13 @@ import pytest
 
 from benchmarks.adapt import series_from_capture
 from benchmarks.evaluate import commonly_visible, map_score
-from semrecon.bas_relief import integrable, three_factors
 from semrecon.data import ChannelGeometry, Optics, TiltSeries, View
 from semrecon.errors import InputError, MethodError
-from semrecon.gauge import gauge_residual
-from semrecon.images import read_image
+from semrecon.input.images import read_image
+from semrecon.judging.gauge import gauge_residual
 from semrecon.methods.photometric_stereo import PhotometricStereo, UncalibratedPhotometricStereo
-from semrecon.photometric import fit_normals, slopes
+from semrecon.photometry.bas_relief import integrable, three_factors
+from semrecon.photometry.photometric import fit_normals, slopes
 from semsim.backscatter import BackscatterOptions
 from semsim.capture import simulate
 from semsim.detector import DetectorOptions

@@ -11,7 +11,7 @@ from known_surface import PIXEL_UM, KnowsTheBump, bump_series, bump_um, grid_um
 from semrecon.data import Estimate, HeightMap, PointCloud, TiltSeries, View
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import nominal_poses, project
-from semrecon.maps import hillshade, round_length
+from semrecon.output.maps import hillshade, round_length
 from semrecon.pipeline import reconstruct
 
 
@@ -122,7 +122,7 @@ def test_scale_bars_are_round(length: float, rounded: float) -> None:
 def test_summary_of_a_surface_without_sigma(tmp_path: object) -> None:
     from pathlib import Path
 
-    from semrecon.figures import write_summary
+    from semrecon.output.figures import write_summary
 
     class NoSigma(KnowsTheBump):
         def __call__(self, series: TiltSeries, *, rng: np.random.Generator) -> Estimate:

@@ -11,9 +11,9 @@ from known_surface import KnowsTheBump, bump_series
 from rerun.chunk import Chunk, RrdReader
 
 from semrecon.geometry import nominal_poses, project
+from semrecon.output.recording import eight_bits, plane_corners, ramp_colours, vertex_normals, write_recording
 from semrecon.pipeline import reconstruct
 from semrecon.reconstruction import Reconstruction
-from semrecon.recording import eight_bits, plane_corners, ramp_colours, vertex_normals, write_recording
 
 TILTS = (-4.5, 0.0, 6.0)
 

@@ -10,13 +10,13 @@ import pytest
 from scipy import ndimage
 
 from semrecon.data import Array, Estimate, Optics, TiltSeries, View
-from semrecon.dense_pair import interpolated
-from semrecon.epipolar import epipolar_geometry
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import project, rotations_from_tilts
+from semrecon.matches.dense_pair import interpolated
+from semrecon.matches.epipolar import epipolar_geometry
+from semrecon.matches.rectification import disparity_of, inverted, rectify, resampled
+from semrecon.matches.semiglobal import SemiGlobalOptions, match_rows
 from semrecon.methods.disparity import Disparity, DisparityIcp
-from semrecon.rectification import disparity_of, inverted, rectify, resampled
-from semrecon.semiglobal import SemiGlobalOptions, match_rows
 
 OPTICS = Optics(0.1, 200, 160)
 AXES = pytest.mark.parametrize("axis_deg", [0.0, 90.0, 30.0, -120.0])

@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 from known_surface import bump_series, bump_um, grid_um
 
-from semrecon.camera_model import Cameras, sightings_and_derivatives
-from semrecon.correspondence import match_pairs
+from semrecon.adjustment.camera_model import Cameras, sightings_and_derivatives
+from semrecon.adjustment.refinement import Refinement, RefinementOptions, refine
+from semrecon.adjustment.schur import reduced_equations
 from semrecon.data import Array, Optics, Tracks
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import project, rotations_from_tilts
-from semrecon.intake import Stated, take_in
+from semrecon.input.intake import Stated, take_in
+from semrecon.matches.correspondence import match_pairs
+from semrecon.matches.tracks import join_matches
 from semrecon.methods import KnownRotation
 from semrecon.pipeline import reconstruct
+from semrecon.points.triangulation import triangulate
 from semrecon.reconstruction import Reconstruction, report
-from semrecon.refinement import Refinement, RefinementOptions, refine
-from semrecon.schur import reduced_equations
-from semrecon.tracks import join_matches
-from semrecon.triangulation import triangulate
 
 OPTICS = Optics(0.147, 854, 640)
 PERSPECTIVE = Optics(0.147, 854, 640, inverse_working_distance=1e-4)

@@ -12,14 +12,14 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from semrecon.clouds.icp import step
+from semrecon.clouds.registration import PcregistericpStop, icp, icp_open3d, register_sequence
 from semrecon.data import PointCloud
 from semrecon.errors import InputError
 from semrecon.geometry import tilt_rotation
-from semrecon.icp import step
-from semrecon.metrics import relative_rotation_error_deg, rmse_um
-from semrecon.motion import RigidMotion, fit_motion, rotation_angle_rad
-from semrecon.neighbours import NearestNeighbours
-from semrecon.registration import PcregistericpStop, icp, icp_open3d, register_sequence
+from semrecon.judging.metrics import relative_rotation_error_deg, rmse_um
+from semrecon.numerics.motion import RigidMotion, fit_motion, rotation_angle_rad
+from semrecon.numerics.neighbours import NearestNeighbours
 
 KINDS = ("point_to_point", "point_to_plane", "generalized")
 

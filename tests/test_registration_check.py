@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from known_surface import bump_series
 
+from semrecon.clouds.icp import Registration
 from semrecon.data import Array, Optics, PointCloud, Poses
 from semrecon.errors import InputError
 from semrecon.geometry import project, rotations_from_tilts, tilt_rotation
-from semrecon.icp import Registration
 from semrecon.methods import KnownRotation
 from semrecon.methods.pair_clouds import PairCloud
 from semrecon.methods.registration_check import compare_with_registration, world_from_cloud
-from semrecon.triangulation import pair_cloud
+from semrecon.points.triangulation import pair_cloud
 
 OPTICS = Optics(0.2, 400, 300)
 
@@ -44,7 +44,7 @@ def test_clouds_come_to_lie_where_the_poses_have_them() -> None:
 
 def by_poses(moving: PointCloud, fixed: PointCloud, turn_deg: float = 0.0) -> Registration:
     """A registration that knows the answer from rows that belong together, and turns it further about the centre."""
-    from semrecon.motion import RigidMotion, fit_motion
+    from semrecon.numerics.motion import RigidMotion, fit_motion
 
     motion = fit_motion(moving.xyz_um, fixed.xyz_um)
     centre = fixed.xyz_um.mean(axis=0)

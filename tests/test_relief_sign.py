@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from semrecon.data import Array, HeightMap, Optics, TiltSeries, View
 from semrecon.errors import InputError
-from semrecon.relief_sign import inside_out_warning, relief_sign
+from semrecon.photometry.relief_sign import inside_out_warning, relief_sign
 
 SHAPE = (240, 320)
 

@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 from semrecon.data import Array, Mask, Optics, PointCloud, Poses, Tracks
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import CAM_FROM_VIEW, project, rotations_from_tilts
-from semrecon.motion import rotation_angle_rad
-from semrecon.onp import find_minima, moments
-from semrecon.resection import AddedView, ResectionOptions, add_view, orthographic_pose, ransac_pose
-from semrecon.triangulation import triangulate
-from semrecon.view_pose import OrthographicPose
+from semrecon.numerics.motion import rotation_angle_rad
+from semrecon.points.triangulation import triangulate
+from semrecon.pose.onp import find_minima, moments
+from semrecon.pose.resection import AddedView, ResectionOptions, add_view, orthographic_pose, ransac_pose
+from semrecon.pose.view_pose import OrthographicPose
 
 PARALLEL = Optics(0.147, 854, 640)
 PERSPECTIVE = Optics(0.147, 854, 640, inverse_working_distance=1e-4)

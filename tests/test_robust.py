@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from semrecon.robust import consistent_with_neighbours, fit_noise, fit_offset
+from semrecon.numerics.robust import consistent_with_neighbours, fit_noise, fit_offset
 
 
 def contaminated(rng, n=1000, share=0.4, sigma=0.5, offset=-7.25, spread=50.0):

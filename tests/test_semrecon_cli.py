@@ -16,9 +16,9 @@ from known_surface import KnowsTheBump, bump_series, bump_um, grid_um
 from typer.testing import CliRunner
 
 from semrecon.cli import app
-from semrecon.export import FILES
+from semrecon.input.series import write_series
 from semrecon.methods import METHODS
-from semrecon.series import write_series
+from semrecon.output.export import FILES
 
 SLOW = ("open3d", "rerun", "matplotlib", "cv2", "scipy", "numba", "numpy", "tifffile", "PIL", "trimesh", "skimage")
 TILTS = (0.0, 6.0, 12.0)

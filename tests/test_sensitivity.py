@@ -21,7 +21,7 @@ from benchmarks.sensitivity import (
 )
 from semrecon.data import Optics, Poses, Tracks
 from semrecon.geometry import tilt_rotation
-from semrecon.triangulation import triangulate
+from semrecon.points.triangulation import triangulate
 from semsim.capture import Surfaces, prepare
 from semsim.imperfections import StageErrors, ViewErrors
 from semsim.microscope import TiltSchedule

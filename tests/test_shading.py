@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from semrecon.data import Optics, TiltSeries, View
 from semrecon.errors import InputError, MethodError
-from semrecon.gauge import gauge_residual
+from semrecon.judging.gauge import gauge_residual
 from semrecon.methods.shape_from_shading import ShapeFromShading
-from semrecon.shading import first_relief, improve, misfit, steepness
+from semrecon.photometry.shading import first_relief, improve, misfit, steepness
 
 PIXEL_UM, ROWS, COLUMNS = 0.1, 96, 120
 EXACT = ShapeFromShading(blur_px=0.0, flat_percentile=0.0)

@@ -7,9 +7,9 @@ import pytest
 
 from semrecon.data import Array, Optics, Poses, Tracks
 from semrecon.geometry import project, rotations_from_tilts
-from semrecon.robust import fit_noise
-from semrecon.sightings import without_wrong_sightings
-from semrecon.triangulation import triangulate
+from semrecon.numerics.robust import fit_noise
+from semrecon.points.sightings import without_wrong_sightings
+from semrecon.points.triangulation import triangulate
 
 OPTICS = Optics(0.147, 854, 640)
 NOISE_PX = 0.3

@@ -14,7 +14,7 @@ from known_surface import KnowsTheBump, bump_series
 from semrecon.data import HeightMap
 from semrecon.pipeline import reconstruct
 from semrecon.reconstruction import report
-from semrecon.texture import Texture, surface_texture, texture_of
+from semrecon.surface.texture import Texture, surface_texture, texture_of
 
 PIXEL_UM = 0.2
 AMPLITUDE_UM = 1.5

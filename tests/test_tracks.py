@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from semrecon.correspondence import PairMatches
-from semrecon.matching import Matches
-from semrecon.tracks import join_matches
+from semrecon.matches.correspondence import PairMatches
+from semrecon.matches.matching import Matches
+from semrecon.matches.tracks import join_matches
 
 
 def pair_of(views, xy1, xy2, index1, index2, distance):

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from semrecon.data import Array, Optics, Poses, Tracks
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import CAM_FROM_VIEW, centred_um, project, rotations_from_tilts
-from semrecon.translation import (
+from semrecon.points.translation import (
     global_translations,
     linear_system,
     solve_closed_form,

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from semrecon import beams
 from semrecon.data import Array, Optics, PointCloud, Poses, Tracks
 from semrecon.errors import InputError
 from semrecon.geometry import centred_um, project, rotations_from_tilts, view_from_world
-from semrecon.point_bands import in_bands
-from semrecon.translation import solve_closed_form
-from semrecon.triangulation import (
+from semrecon.numerics.point_bands import in_bands
+from semrecon.points import beams
+from semrecon.points.translation import solve_closed_form
+from semrecon.points.triangulation import (
     pair_cloud,
     projection_matrix,
     reject_outliers,

@@ -7,10 +7,10 @@ import pytest
 
 from semrecon.data import Optics, TiltSeries, View
 from semrecon.errors import InputError, MethodError
-from semrecon.features import FeatureOptions, detect_features
-from semrecon.matching import MatchOptions, match_exhaustively
-from semrecon.tracks import join_matches
-from semrecon.unguided_matching import UnguidedOptions, match_all, match_unguided
+from semrecon.matches.features import FeatureOptions, detect_features
+from semrecon.matches.matching import MatchOptions, match_exhaustively
+from semrecon.matches.tracks import join_matches
+from semrecon.matches.unguided_matching import UnguidedOptions, match_all, match_unguided
 from tests.known_surface import PIXEL_UM, bump_series, bump_um
 
 SERIES = bump_series((0.0, 8.0, 16.0))

@@ -59,7 +59,7 @@ def _real_series(
     """Read a series folder, or all images of a folder in the order of their names."""
     from benchmarks.scenes import with_tilt_step
     from semrecon.errors import InputError
-    from semrecon.intake import Stated, take_in
+    from semrecon.input.intake import Stated, take_in
 
     if not folder.is_dir():
         raise InputError(f"--series {folder} is not a folder; name a series folder or a folder of images")

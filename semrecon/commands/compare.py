@@ -22,8 +22,8 @@ def compare(
 ) -> None:
     """Compare two reconstructions: even with odd views, one method with another, yesterday with today."""
     with one_sentence():
-        from semrecon.comparison import check_comparison_out, write_comparison
-        from semrecon.comparison import compare as run
+        from semrecon.agreement.comparison import check_comparison_out, write_comparison
+        from semrecon.agreement.comparison import compare as run
 
         if out is not None:
             check_comparison_out(out)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from semrecon.data import Image
-    from semrecon.intake import Facts
+    from semrecon.input.intake import Facts
 
 
 def info(
@@ -23,9 +23,9 @@ def info(
     with one_sentence():
         from rich.console import Console
 
-        from semrecon.doubts import doubts
-        from semrecon.images import read_image
-        from semrecon.intake import facts_of
+        from semrecon.input.doubts import doubts
+        from semrecon.input.images import read_image
+        from semrecon.input.intake import facts_of
 
         facts = facts_of(inputs)
         images = [read_image(facts.folder / entry.image) for entry in facts.entries]

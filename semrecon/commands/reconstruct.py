@@ -15,7 +15,7 @@ from semrecon.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from semrecon.intake import Intake
+    from semrecon.input.intake import Intake
     from semrecon.methods.base import Method
     from semrecon.reconstruction import Reconstruction
 
@@ -90,10 +90,10 @@ def reconstruct(
     them, and from the options, which win.
     """
     with one_sentence():
-        from semrecon.export import check_formats, check_out, write_reconstruction
-        from semrecon.intake import Stated, take_in
+        from semrecon.input.intake import Stated, take_in
+        from semrecon.output.export import check_formats, check_out, write_reconstruction
         from semrecon.pipeline import reconstruct as run
-        from semrecon.poisson import check_meshing, with_mesh
+        from semrecon.surface.poisson import check_meshing, with_mesh
 
         check_out(out)
         formats = tuple(part.strip().lower() for part in also.split(",")) if also else ()
@@ -164,8 +164,8 @@ def _with_later_views(
         return result
     import numpy as np
 
-    from semrecon.images import read_image
-    from semrecon.later_views import pose_later_views, with_later_views
+    from semrecon.input.images import read_image
+    from semrecon.pose.later_views import pose_later_views, with_later_views
 
     tell("later views")
     images = [(path.name, read_image(path)) for path in paths]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, optimize
 
 from semrecon.data import Array, Mask, View
-from semrecon.features import usable_pixels
+from semrecon.matches.features import usable_pixels
 
 Picture = NDArray[np.float32]
 

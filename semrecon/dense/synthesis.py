@@ -37,7 +37,7 @@ from semrecon.dense.sightlines import Sightlines
 from semrecon.dense.smoothness import applied, edge_weights
 from semrecon.dense.spline import Float, Spline, sampled
 from semrecon.dense.visibility import visible
-from semrecon.features import usable_pixels
+from semrecon.matches.features import usable_pixels
 
 BRIGHTNESS_PX = 8.0
 """Standard deviation of the window in which the brightness of a place is measured."""

@@ -8,15 +8,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from semrecon.affine_stereo import StereoOptions, dense_heights
-from semrecon.completion import points_from_heights
-from semrecon.correspondence import PairMatches
 from semrecon.data import Estimate, TiltSeries
 from semrecon.errors import MethodError
+from semrecon.matches.correspondence import PairMatches
+from semrecon.matches.unguided_matching import UnguidedOptions, match_unguided
 from semrecon.methods.base import Gauge, Need
 from semrecon.methods.pair_clouds import heights_of, match_diagnostics
-from semrecon.self_calibration import SelfCalibration, calibrate
-from semrecon.unguided_matching import UnguidedOptions, match_unguided
+from semrecon.surface.completion import points_from_heights
+from semrecon.uncalibrated.affine_stereo import StereoOptions, dense_heights
+from semrecon.uncalibrated.self_calibration import SelfCalibration, calibrate
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from semrecon.alignment import Alignment, align
-from semrecon.completion import points_from_heights
-from semrecon.correspondence import CorrespondenceOptions, view_name
+from semrecon.adjustment.refinement_options import RefinementOptions
 from semrecon.data import Array, Estimate, HeightMap, Mask, TiltSeries
 from semrecon.dense.confidence import ConfidenceOptions, confidence
 from semrecon.dense.consistency import confirmed
@@ -21,9 +19,11 @@ from semrecon.dense.spline import Spline, spline_of
 from semrecon.dense.surface import SweepOptions, coarse_to_fine
 from semrecon.dense.synthesis import ShadingOptions, shaded
 from semrecon.errors import InputError, MethodError
-from semrecon.height_origin import with_median_zero
+from semrecon.matches.correspondence import CorrespondenceOptions, view_name
 from semrecon.methods.base import Gauge, Need
-from semrecon.refinement_options import RefinementOptions
+from semrecon.pose.alignment import Alignment, align
+from semrecon.surface.completion import points_from_heights
+from semrecon.surface.height_origin import with_median_zero
 
 SPAN_PERCENT = (0.5, 99.5)
 """Heights of the features between which the surface is looked for first ..."""

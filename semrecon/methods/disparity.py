@@ -8,13 +8,13 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from semrecon.correspondence import CorrespondenceOptions, PairMatches, match_adjacent_pairs, view_name
 from semrecon.data import Array, Estimate, HeightMap, Mask, PointCloud, TiltSeries
-from semrecon.dense_pair import dense_matches
-from semrecon.disparity import Variant, disparity_cloud
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import rotations_from_tilts, view_from_world
-from semrecon.matching import Matches
+from semrecon.matches.correspondence import CorrespondenceOptions, PairMatches, match_adjacent_pairs, view_name
+from semrecon.matches.dense_pair import dense_matches
+from semrecon.matches.matching import Matches
+from semrecon.matches.semiglobal import SemiGlobalOptions
 from semrecon.methods.base import Gauge, Need
 from semrecon.methods.pair_clouds import (
     heights_of,
@@ -23,7 +23,7 @@ from semrecon.methods.pair_clouds import (
     register_pair_clouds,
     skew_warnings,
 )
-from semrecon.semiglobal import SemiGlobalOptions
+from semrecon.points.disparity import Variant, disparity_cloud
 
 Density = Literal["sparse", "dense"]
 ICP_POINTS = 10_000
@@ -45,7 +45,7 @@ class Disparity:
     Parameters
     ----------
     variant
-        Formula of the height: "printed" in the seed, "symmetric" or "boyde" (`semrecon.disparity`).
+        Formula of the height: "printed" in the seed, "symmetric" or "boyde" (`semrecon.points.disparity`).
     density
         "sparse": heights at features, filled in between. "dense": a height for every pixel, by rectification of the
         pair and semi-global matching over the range of disparities that the features show. The clouds stay sparse.

@@ -8,15 +8,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from semrecon.correspondence import PairMatches
 from semrecon.data import Estimate, TiltSeries
 from semrecon.errors import InputError, MethodError
-from semrecon.essential import EssentialOptions, verified_pairs
-from semrecon.incremental import incremental
+from semrecon.matches.correspondence import PairMatches
 from semrecon.methods.base import Gauge, Need
 from semrecon.methods.pair_clouds import match_diagnostics
-from semrecon.pinhole import focal_length_px
-from semrecon.pinhole_estimate import estimate_of
+from semrecon.perspective.essential import EssentialOptions, verified_pairs
+from semrecon.perspective.incremental import incremental
+from semrecon.perspective.pinhole import focal_length_px
+from semrecon.perspective.pinhole_estimate import estimate_of
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from semrecon.colmap import MapperOptions, mapped
 from semrecon.data import Estimate, TiltSeries
 from semrecon.errors import InputError, MethodError
 from semrecon.methods.base import Gauge, Need
-from semrecon.pinhole import focal_length_px
-from semrecon.pinhole_estimate import estimate_of
+from semrecon.perspective.colmap import MapperOptions, mapped
+from semrecon.perspective.pinhole import focal_length_px
+from semrecon.perspective.pinhole_estimate import estimate_of
 
 
 @dataclass(frozen=True)

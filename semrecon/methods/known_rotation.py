@@ -10,11 +10,13 @@ from typing import Any, ClassVar, Literal, cast, get_args
 
 import numpy as np
 
-from semrecon.correspondence import CorrespondenceOptions, PairMatches, match_adjacent_pairs, match_pairs
+from semrecon.adjustment.refinement import Refinement, RefinementOptions, refine
+from semrecon.clouds.registration import Open3dKind, Registration, icp, icp_open3d
 from semrecon.data import Estimate, PointCloud, Poses, TiltSeries, Tracks
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import centred_um, rotations_from_tilts
-from semrecon.joint_translation import SeriesTranslation, solve_series
+from semrecon.matches.correspondence import CorrespondenceOptions, PairMatches, match_adjacent_pairs, match_pairs
+from semrecon.matches.tracks import join_matches
 from semrecon.methods.base import Gauge, Need
 from semrecon.methods.pair_clouds import (
     PairCloud,
@@ -25,13 +27,11 @@ from semrecon.methods.pair_clouds import (
     skew_warnings,
 )
 from semrecon.methods.registration_check import compare_with_registration
-from semrecon.refinement import Refinement, RefinementOptions, refine
-from semrecon.registration import Open3dKind, Registration, icp, icp_open3d
-from semrecon.robust import NoiseFit, fit_noise
-from semrecon.sightings import without_wrong_sightings
-from semrecon.tracks import join_matches
-from semrecon.translation import solve_closed_form
-from semrecon.triangulation import pair_cloud, triangulate
+from semrecon.numerics.robust import NoiseFit, fit_noise
+from semrecon.points.joint_translation import SeriesTranslation, solve_series
+from semrecon.points.sightings import without_wrong_sightings
+from semrecon.points.translation import solve_closed_form
+from semrecon.points.triangulation import pair_cloud, triangulate
 
 RegistrationKind = Literal["icp", "open3d_point_to_point", "open3d_point_to_plane", "open3d_generalized"]
 

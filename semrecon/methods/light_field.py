@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from semrecon.completion import points_from_heights
 from semrecon.data import Array, Estimate, HeightMap, Poses, TiltSeries
-from semrecon.epipolar_plane import SlopeOptions, Slopes, slopes
+from semrecon.dense.epipolar_plane import SlopeOptions, Slopes, slopes
 from semrecon.errors import MethodError
 from semrecon.geometry import rotations_from_tilts
 from semrecon.methods.base import Gauge, Need
+from semrecon.surface.completion import points_from_heights
 
 SAME_TILT_DEG = 0.05
 LEAST_PATH_PX = 2.0

@@ -8,14 +8,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from semrecon.correspondence import PairMatches
 from semrecon.data import Estimate, TiltSeries, View
 from semrecon.errors import MethodError
-from semrecon.features import FeatureOptions, Features, detect_features
+from semrecon.matches.correspondence import PairMatches
+from semrecon.matches.features import FeatureOptions, Features, detect_features
+from semrecon.matches.unguided_matching import UnguidedOptions, match_unguided
 from semrecon.methods.base import Gauge, Need
 from semrecon.methods.pair_clouds import heights_of, match_diagnostics
-from semrecon.self_calibration import calibrate
-from semrecon.unguided_matching import UnguidedOptions, match_unguided
+from semrecon.uncalibrated.self_calibration import calibrate
 
 
 @dataclass(frozen=True)

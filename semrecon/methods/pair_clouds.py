@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from semrecon.correspondence import PairMatches, pair_geometry, view_name
+from semrecon.clouds.registration import Registration, SequenceRegistration, icp, register_sequence
 from semrecon.data import Array, HeightMap, Mask, PointCloud, TiltSeries
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import centred_um, rotations_from_tilts, view_from_world
-from semrecon.meshing import height_map_from_points, without_outliers
-from semrecon.registration import Registration, SequenceRegistration, icp, register_sequence
+from semrecon.matches.correspondence import PairMatches, pair_geometry, view_name
+from semrecon.surface.meshing import height_map_from_points, without_outliers
 
 SLOPE_PX = 1.0
 """Epipolar lines that run apart by more than this over half an image deserve a warning."""

@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from semrecon.bas_relief import integrable, three_factors, with_a_sign
 from semrecon.data import Array, Estimate, HeightMap, Mask, TiltSeries, View
 from semrecon.errors import InputError, MethodError
-from semrecon.integration import IntegrationOptions, integrate_slopes
 from semrecon.methods.base import Gauge, Need
-from semrecon.photometric import fit_normals, slopes, usable
+from semrecon.photometry.bas_relief import integrable, three_factors, with_a_sign
+from semrecon.photometry.integration import IntegrationOptions, integrate_slopes
+from semrecon.photometry.photometric import fit_normals, slopes, usable
 
 LEAST_SHARE = 0.01
 """Share of the pixels with a slope below which there is no answer."""

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from semrecon.clouds.icp import PcregistericpStop, Registration, icp
 from semrecon.data import Optics, PointCloud, Poses, Tracks
 from semrecon.geometry import CAM_FROM_VIEW, view_from_world
-from semrecon.icp import PcregistericpStop, Registration, icp
 from semrecon.methods.pair_clouds import PairCloud
-from semrecon.motion import RigidMotion, rotation_angle_rad
-from semrecon.neighbours import distances_um
-from semrecon.triangulation import triangulate
+from semrecon.numerics.motion import RigidMotion, rotation_angle_rad
+from semrecon.numerics.neighbours import distances_um
+from semrecon.points.triangulation import triangulate
 
 MOST = 2000
 """Most points of a cloud that take part: the comparison must not cost more than what it compares."""

@@ -11,8 +11,8 @@ from scipy.ndimage import gaussian_filter
 from semrecon.data import Array, Estimate, HeightMap, Mask, TiltSeries, View
 from semrecon.errors import InputError, MethodError
 from semrecon.methods.base import Gauge, Need
-from semrecon.photometric import usable
-from semrecon.shading import Lowest, first_relief, improve, misfit, steepness
+from semrecon.photometry.photometric import usable
+from semrecon.photometry.shading import Lowest, first_relief, improve, misfit, steepness
 
 
 @dataclass(frozen=True)

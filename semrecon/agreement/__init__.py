@@ -1,0 +1,1 @@
+"""Two surfaces of one specimen against each other, also those of other software."""

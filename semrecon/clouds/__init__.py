@@ -1,0 +1,1 @@
+"""Point clouds brought together: iterative closest point, and sequences of clouds."""

@@ -1,0 +1,1 @@
+"""Measures of an answer against truth: gauges, errors, their split."""

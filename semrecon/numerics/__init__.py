@@ -1,0 +1,1 @@
+"""Tools that several stages share: rigid motions, robust fits, neighbours, normal equations."""

@@ -1,0 +1,1 @@
+"""Micrographs taken for photographs: pinhole cameras, essential matrices, incremental structure from motion."""

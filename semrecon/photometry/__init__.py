@@ -1,0 +1,1 @@
+"""What brightness says of slopes: several detectors, one secondary-electron image, the sign of a relief."""

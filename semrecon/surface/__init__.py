@@ -1,0 +1,1 @@
+"""Surfaces of points and heights: triangles, meshes, completion, texture parameters."""
