@@ -65,7 +65,7 @@ def split_names(text: str) -> list[str]:
 @contextmanager
 def workers_at(workers: int, scheduler: str) -> Iterator[Executor]:
     """Start processes here, or use the workers of a dask cluster where the address of its scheduler is given."""
-    from benchmarks.executors import cluster, local
+    from benchmarks.running.executors import cluster, local
 
     with cluster(scheduler) if scheduler else local(workers) as executor:
         yield executor

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.figures import contenders_of, series_of
-from benchmarks.ledger import Row
+from benchmarks.running.ledger import Row
 from benchmarks.scenes import SimulatedSource, Source, paper_scenes
-from benchmarks.study import NAMES, measure
+from benchmarks.seed_study.figures import contenders_of, series_of
+from benchmarks.seed_study.study import NAMES, measure
 
 BASELINES = Path(__file__).resolve().parent / "baselines" / "accuracy.json"
 REPETITIONS = 3

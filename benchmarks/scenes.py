@@ -14,8 +14,8 @@ from typing import Protocol
 import numpy as np
 
 from benchmarks.adapt import series_from_capture
-from benchmarks.evaluate import commonly_visible
-from benchmarks.runner import code_version, digest, seed_of
+from benchmarks.judging.evaluate import commonly_visible
+from benchmarks.running.runner import code_version, digest, seed_of
 from semrecon.data import Array, Mask, TiltSeries
 from semrecon.geometry import tilt_rotation
 from semsim.capture import Surfaces, expose, prepare

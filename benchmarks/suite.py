@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from benchmarks.runner import code_version, digest, seed_of
+from benchmarks.running.runner import code_version, digest, seed_of
 from benchmarks.scenes import SimulatedSource
 from semrecon.data import TiltSeries
 from semrecon.errors import InputError

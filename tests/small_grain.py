@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks import case
+from benchmarks.running import case
 
 GRAIN = """
 [specimen]

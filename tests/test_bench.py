@@ -14,12 +14,12 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.__main__ import app
-from benchmarks.evaluate import cloud_score, commonly_visible, map_score, true_heights
+from benchmarks.judging.evaluate import cloud_score, commonly_visible, map_score, true_heights
 from benchmarks.oracles import truth_as_estimate
-from benchmarks.paper import LEDGER, run_paper
-from benchmarks.runner import seed_of
+from benchmarks.running.runner import seed_of
 from benchmarks.scenes import RealSource, SimulatedSource, with_tilt_step
-from benchmarks.study import jobs, measure
+from benchmarks.seed_study.paper import LEDGER, run_paper
+from benchmarks.seed_study.study import jobs, measure
 from semrecon.data import HeightMap, Optics
 from semrecon.input.series import write_series
 from semsim.microscope import Microscope, TiltSchedule
@@ -121,7 +121,7 @@ def test_the_printed_formula_halves_depth_and_the_right_ones_agree(source: Simul
 
 IN_ANOTHER_PROCESS = """
 import pickle, sys
-from benchmarks.study import measure
+from benchmarks.seed_study.study import measure
 source, out = pickle.loads(open(sys.argv[1], "rb").read()), sys.argv[2]
 open(out, "wb").write(pickle.dumps([(dict(r.metrics), dict(r.arrays)) for r in measure(source, 1, tuple("abcde"))]))
 """
@@ -193,7 +193,7 @@ def test_bad_input_is_one_sentence_and_exit_2(arguments: list[str], sentence: st
 
 
 def test_coarse_optics_hit_every_nth_pixel(truth: GroundTruth) -> None:
-    from benchmarks.study import coarse_map
+    from benchmarks.seed_study.study import coarse_map
 
     estimate = truth_as_estimate(truth, 0)
     assert estimate.points is not None

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.bench import LEDGER, Plan, measure
-from benchmarks.bench_ledger import BenchLedger
-from benchmarks.cell import Limits
-from benchmarks.executors import cluster
+from benchmarks.running.bench import LEDGER, Plan, measure
+from benchmarks.running.bench_ledger import BenchLedger
+from benchmarks.running.cell import Limits
+from benchmarks.running.executors import cluster
 from semrecon.errors import InputError
 from tests.test_run_command import ROOT, small_scene
 from tests.troubled_methods import Troubled

@@ -12,17 +12,18 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from benchmarks import case, error_maps
 from benchmarks.__main__ import app
-from benchmarks.bench import LEDGER, Plan, measure
-from benchmarks.bench_ledger import BenchLedger
-from benchmarks.cell import Limits
-from benchmarks.error_figures import COLUMNS, DPI, TILE_PX, WIDTH_PX, caption, draw_strip, headline
-from benchmarks.error_maps import NOT_RUN, ErrorMap, Record, Strip, error_map, read_run, scene_maps, strips
-from benchmarks.manifest import MethodRecord, manifest_of, write_manifest
-from benchmarks.methods_page import ALONE, BEGIN, END, filled_page, leaderboard
 from benchmarks.oracles import ORACLES
-from benchmarks.report_figures import ERRORS, MISSING, UNJUDGED
+from benchmarks.reporting import error_maps
+from benchmarks.reporting.error_figures import COLUMNS, DPI, TILE_PX, WIDTH_PX, caption, draw_strip, headline
+from benchmarks.reporting.error_maps import NOT_RUN, ErrorMap, Record, Strip, error_map, read_run, scene_maps, strips
+from benchmarks.reporting.methods_page import ALONE, BEGIN, END, filled_page, leaderboard
+from benchmarks.reporting.report_figures import ERRORS, MISSING, UNJUDGED
+from benchmarks.running import case
+from benchmarks.running.bench import LEDGER, Plan, measure
+from benchmarks.running.bench_ledger import BenchLedger
+from benchmarks.running.cell import Limits
+from benchmarks.running.manifest import MethodRecord, manifest_of, write_manifest
 from benchmarks.scenes import SimulatedSource
 from benchmarks.suite import BenchScene
 from semrecon.errors import InputError

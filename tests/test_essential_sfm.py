@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.adapt import series_from_capture
-from benchmarks.evaluate import cloud_score
+from benchmarks.judging.evaluate import cloud_score
 from semrecon.data import View
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import project

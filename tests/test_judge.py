@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.judge import TOLERANCES_PX, filled, judge, pose_errors
+from benchmarks.judging.judge import TOLERANCES_PX, filled, judge, pose_errors
 from benchmarks.oracles import truth_as_estimate
+from benchmarks.running.stored import packed, unpacked
 from benchmarks.scenes import SimulatedSource
-from benchmarks.stored import packed, unpacked
 from semrecon.data import Estimate, HeightMap, Poses, TiltSeries
 from semsim.microscope import Microscope, TiltSchedule
 from semsim.scene import Scene

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.ledger import Ledger, Row
-from benchmarks.runner import Job, digest, run_jobs, seed_of
+from benchmarks.running.ledger import Ledger, Row
+from benchmarks.running.runner import Job, digest, run_jobs, seed_of
 
 
 def row(key: str, repetition: int = 0, **metrics: float) -> Row:
@@ -68,7 +68,7 @@ def test_a_bug_in_one_job_loses_nothing_of_those_before(tmp_path: Path) -> None:
 KILLED = """
 import sys, time
 from pathlib import Path
-from benchmarks.ledger import Ledger, Row
+from benchmarks.running.ledger import Ledger, Row
 ledger = Ledger(Path(sys.argv[1]))
 for number in range(100000):
     ledger.record([Row(f"k{number}/{each}", "s", "s", "c", number, {}) for each in range(3)])

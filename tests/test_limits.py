@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from benchmarks.limits import (
+from benchmarks.judging.limits import (
     LimitOptions,
     Parallax,
     bound_summary,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.adapt import series_from_capture
-from benchmarks.evaluate import true_heights
+from benchmarks.judging.evaluate import true_heights
 from benchmarks.oracles import ORACLES, OracleMatches, OracleRegistration, OracleTranslation, label, true_motions
 from semrecon.data import Array, Estimate, TiltSeries
 from semrecon.geometry import view_from_world

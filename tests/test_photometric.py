@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.adapt import series_from_capture
-from benchmarks.evaluate import commonly_visible, map_score
+from benchmarks.judging.evaluate import commonly_visible, map_score
 from semrecon.data import ChannelGeometry, Optics, TiltSeries, View
 from semrecon.errors import InputError, MethodError
 from semrecon.input.images import read_image

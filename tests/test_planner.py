@@ -11,9 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.__main__ import app
-from benchmarks.bench import contenders
-from benchmarks.bench_ledger import BenchLedger
-from benchmarks.planner import (
+from benchmarks.running.bench import contenders
+from benchmarks.running.bench_ledger import BenchLedger
+from benchmarks.sweeping.planner import (
     Candidate,
     Checked,
     Choices,
@@ -27,9 +27,9 @@ from benchmarks.planner import (
     spread_tilts,
     write_plan_csv,
 )
-from benchmarks.planner_page import plan_markdown, verdict
-from benchmarks.sweep_figures import draw_plan
-from benchmarks.sweeps import base_scene
+from benchmarks.sweeping.planner_page import plan_markdown, verdict
+from benchmarks.sweeping.sweep_figures import draw_plan
+from benchmarks.sweeping.sweeps import base_scene
 from semrecon.errors import InputError, MethodError
 from tests.small_grain import GRAIN, close_cell
 

@@ -14,19 +14,19 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import benchmarks.report
+import benchmarks.reporting.report
 from benchmarks.__main__ import app
-from benchmarks.bench import LEDGER, Plan
-from benchmarks.bench_ledger import BenchLedger
-from benchmarks.case import Answer, Case, Outcome, judge_version, score
-from benchmarks.cell import Limits
-from benchmarks.manifest import MANIFEST, manifest_of, read_manifest, write_manifest
-from benchmarks.report import content, rendered
-from benchmarks.report_figures import ERRORS, HEIGHTS, MISSING, coloured, error_curves
-from benchmarks.report_scenes import ABSENT, CHANGED, drawn_answer, truth_of
-from benchmarks.report_sweeps import sweep_section
+from benchmarks.reporting.report import content, rendered
+from benchmarks.reporting.report_figures import ERRORS, HEIGHTS, MISSING, coloured, error_curves
+from benchmarks.reporting.report_scenes import ABSENT, CHANGED, drawn_answer, truth_of
+from benchmarks.reporting.report_sweeps import sweep_section
+from benchmarks.running.bench import LEDGER, Plan
+from benchmarks.running.bench_ledger import BenchLedger
+from benchmarks.running.case import Answer, Case, Outcome, judge_version, score
+from benchmarks.running.cell import Limits
+from benchmarks.running.manifest import MANIFEST, manifest_of, read_manifest, write_manifest
+from benchmarks.running.stored import packed
 from benchmarks.scenes import SimulatedSource
-from benchmarks.stored import packed
 from benchmarks.suite import BenchScene
 from semrecon.data import Estimate, HeightMap
 from semrecon.errors import InputError
@@ -107,7 +107,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ran]:
         ledger.record(Outcome(case, answer, judge_version(), score(case, answer)), LIMITS)
     write_manifest(folder, manifest_of(plan, quick=True, purpose="reporting"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(benchmarks.report, "suite", lambda *_args, **_more: (scene,))
+        patch.setattr(benchmarks.reporting.report, "suite", lambda *_args, **_more: (scene,))
         yield Ran(folder, plan, scene)
 
 
@@ -222,7 +222,7 @@ def test_pictures_are_left_out_where_they_would_not_be_those_of_the_run(
     notes = {each.name: (each.note, each.image is None) for each in content(ran.folder, [], quiet).sections}
     assert notes == {"grain": ("", False), "elsewhere": (ABSENT, True)}
     other = replace(ran.scene, content="another specimen")
-    monkeypatch.setattr(benchmarks.report, "suite", lambda *_args, **_more: (other,))
+    monkeypatch.setattr(benchmarks.reporting.report, "suite", lambda *_args, **_more: (other,))
     (section, _) = content(ran.folder, [], quiet).sections
     assert (section.note, section.image, section.curves) == (CHANGED, None, None)
     assert len(section.cards) == len(METHODS)

@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import bench
 from benchmarks.__main__ import app
-from benchmarks.bench import LEDGER, Plan, alone, contenders, measure
-from benchmarks.bench_ledger import BenchLedger
-from benchmarks.case import run_case
-from benchmarks.cell import Limits
-from benchmarks.export import write_csv, write_parquet
-from benchmarks.leaderboard import entries, markdown, notes
+from benchmarks.reporting.leaderboard import entries, markdown, notes
+from benchmarks.running import bench
+from benchmarks.running.bench import LEDGER, Plan, alone, contenders, measure
+from benchmarks.running.bench_ledger import BenchLedger
+from benchmarks.running.case import run_case
+from benchmarks.running.cell import Limits
+from benchmarks.running.export import write_csv, write_parquet
 from benchmarks.scenes import SimulatedSource
 from benchmarks.suite import BenchScene
 from semrecon.errors import InputError
@@ -226,9 +226,9 @@ KILLED = """
 import sys, time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from benchmarks import bench
-from benchmarks.bench_ledger import BenchLedger
-from benchmarks.case import Answer, Outcome
+from benchmarks.running import bench
+from benchmarks.running.bench_ledger import BenchLedger
+from benchmarks.running.case import Answer, Outcome
 from tests.test_run_command import small_scene
 from tests.troubled_methods import Troubled
 

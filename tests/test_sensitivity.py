@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.sensitivity import (
+from benchmarks.judging.sensitivity import (
     depth_weights,
     drift_error_um,
     magnification_error_um,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.case import cases, is_oracle, unfit
+from benchmarks.running.case import cases, is_oracle, unfit
 from benchmarks.suite import REAL_DATA, chosen, suite
 from semrecon.errors import InputError
 from semrecon.methods import METHODS

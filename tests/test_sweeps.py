@@ -13,12 +13,12 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.__main__ import app
-from benchmarks.bench import contenders
-from benchmarks.bench_ledger import BenchLedger, Result
-from benchmarks.sweep_axes import AXES, Axis, axis_named
-from benchmarks.sweep_figures import draw_sweep
-from benchmarks.sweep_summary import curves, interval, slope, sweep_markdown, write_sweep_csv
-from benchmarks.sweeps import Sweep, Swept, Theory, base_scene, offered, read_sweep, run_sweep
+from benchmarks.running.bench import contenders
+from benchmarks.running.bench_ledger import BenchLedger, Result
+from benchmarks.sweeping.sweep_axes import AXES, Axis, axis_named
+from benchmarks.sweeping.sweep_figures import draw_sweep
+from benchmarks.sweeping.sweep_summary import curves, interval, slope, sweep_markdown, write_sweep_csv
+from benchmarks.sweeping.sweeps import Sweep, Swept, Theory, base_scene, offered, read_sweep, run_sweep
 from semrecon.errors import InputError
 from semsim.scene import Scene
 from semsim.scenes import scene

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.contenders import CONTENDERS
-from benchmarks.ledger import Row
-from benchmarks.summary import summary, verdicts
-from benchmarks.tables import reduction, reductions_table, table2
+from benchmarks.running.ledger import Row
+from benchmarks.seed_study.contenders import CONTENDERS
+from benchmarks.seed_study.summary import summary, verdicts
+from benchmarks.seed_study.tables import reduction, reductions_table, table2
 
 
 def rows(**means: dict[str, float]) -> list[Row]:

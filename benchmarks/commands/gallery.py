@@ -19,9 +19,9 @@ def gallery(
 ) -> None:
     """Draw the error maps of every method on every scene of a run, and fill the tables of a page; nothing is rerun."""
     with one_sentence():
-        from benchmarks.error_figures import draw_strip
-        from benchmarks.error_maps import read_run, strips
-        from benchmarks.methods_page import filled_page, leaderboard
+        from benchmarks.reporting.error_figures import draw_strip
+        from benchmarks.reporting.error_maps import read_run, strips
+        from benchmarks.reporting.methods_page import filled_page, leaderboard
         from semrecon.errors import InputError
 
         record = read_run(run)

@@ -35,8 +35,8 @@ def paper(
 ) -> None:
     """Repeat the seed paper's study (Table 2, Figs. 7 to 12) against exact truth, or on real micrographs."""
     with one_sentence():
-        from benchmarks.paper import check_results_folder, run_paper
         from benchmarks.scenes import RealSource, paper_scenes
+        from benchmarks.seed_study.paper import check_results_folder, run_paper
         from semsim.workers import process_pool
 
         check_results_folder(out)

@@ -12,7 +12,7 @@ from benchmarks.commands.sweep import _numbers
 from benchmarks.console import one_sentence, progress, said_when_interrupted, workers_at
 
 if TYPE_CHECKING:
-    from benchmarks.planner import Choices, Planned
+    from benchmarks.sweeping.planner import Choices, Planned
 
 
 def plan(
@@ -38,11 +38,11 @@ def plan(
 ) -> None:
     """Find the cheapest way to take the pictures that reaches a depth error, by model, and check it by simulation."""
     with one_sentence():
-        from benchmarks.bench import LEDGER, alone, check_out, contenders
-        from benchmarks.bench_ledger import BenchLedger
-        from benchmarks.cell import Limits
-        from benchmarks.planner import Task, make_plan
-        from benchmarks.sweeps import base_scene
+        from benchmarks.running.bench import LEDGER, alone, check_out, contenders
+        from benchmarks.running.bench_ledger import BenchLedger
+        from benchmarks.running.cell import Limits
+        from benchmarks.sweeping.planner import Task, make_plan
+        from benchmarks.sweeping.sweeps import base_scene
         from semrecon.errors import InputError
 
         if not target_um > 0:
@@ -64,7 +64,7 @@ def plan(
 
 
 def _choices(ranges: str, views: str, doses: str) -> Choices:
-    from benchmarks.planner import Choices
+    from benchmarks.sweeping.planner import Choices
 
     usual = Choices()
     return Choices(
@@ -78,9 +78,9 @@ def _show(planned: Planned, scene: str, out: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from benchmarks.planner import write_plan_csv
-    from benchmarks.planner_page import plan_markdown, plan_rows, verdict
-    from benchmarks.sweep_figures import draw_plan
+    from benchmarks.sweeping.planner import write_plan_csv
+    from benchmarks.sweeping.planner_page import plan_markdown, plan_rows, verdict
+    from benchmarks.sweeping.sweep_figures import draw_plan
 
     draw_plan(out / "plan.png", planned.candidates, planned.target_um, f"{planned.method} on {scene}, by the model")
     write_plan_csv(out / "plan.csv", planned)

@@ -19,7 +19,7 @@ def report(
 ) -> None:
     """Write a run as one HTML page that needs no network: leaderboard, maps, failures, sweeps; no method is called."""
     with one_sentence():
-        from benchmarks.report import PAGE, write_report
+        from benchmarks.reporting.report import PAGE, write_report
 
         page = out or run / PAGE
         with progress() as bar:

@@ -11,8 +11,8 @@ import typer
 from benchmarks.console import one_sentence, progress, said_when_interrupted, split_names, workers_at
 
 if TYPE_CHECKING:
-    from benchmarks.bench import Plan
-    from benchmarks.bench_ledger import Result
+    from benchmarks.running.bench import Plan
+    from benchmarks.running.bench_ledger import Result
 
 
 def run(
@@ -33,10 +33,10 @@ def run(
 ) -> None:
     """Run methods on scenes, judge them against truth, write the leaderboard; what is on record is not run again."""
     with one_sentence():
-        from benchmarks.bench import LEDGER, Plan, alone, check_out, contenders, measure
-        from benchmarks.bench_ledger import BenchLedger
-        from benchmarks.cell import Limits
-        from benchmarks.manifest import manifest_of, write_manifest
+        from benchmarks.running.bench import LEDGER, Plan, alone, check_out, contenders, measure
+        from benchmarks.running.bench_ledger import BenchLedger
+        from benchmarks.running.cell import Limits
+        from benchmarks.running.manifest import manifest_of, write_manifest
         from benchmarks.suite import Purpose, chosen, suite
 
         check_out(out)
@@ -56,9 +56,9 @@ def _show(plan: Plan, results: list[Result], out: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from benchmarks.case import is_oracle
-    from benchmarks.export import write_csv, write_parquet
-    from benchmarks.leaderboard import entries, markdown, notes, rows_over_scenes, write_table_csv
+    from benchmarks.reporting.leaderboard import entries, markdown, notes, rows_over_scenes, write_table_csv
+    from benchmarks.running.case import is_oracle
+    from benchmarks.running.export import write_csv, write_parquet
     from benchmarks.suite import described
     from semrecon.errors import InputError
 

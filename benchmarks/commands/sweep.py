@@ -11,8 +11,8 @@ import typer
 from benchmarks.console import one_sentence, progress, said_when_interrupted, split_names, workers_at
 
 if TYPE_CHECKING:
-    from benchmarks.sweep_axes import Axis
-    from benchmarks.sweeps import Swept
+    from benchmarks.sweeping.sweep_axes import Axis
+    from benchmarks.sweeping.sweeps import Swept
 
 DEFAULT_METHODS = "known_rotation,disparity"
 
@@ -45,10 +45,10 @@ def sweep(
 ) -> None:
     """Vary one or two settings of a scene; draw the error with its predicted response and the bound."""
     with one_sentence():
-        from benchmarks.bench import LEDGER, alone, check_out, contenders
-        from benchmarks.bench_ledger import BenchLedger
-        from benchmarks.cell import Limits
-        from benchmarks.sweeps import Sweep, TheoryOptions, base_scene, run_sweep
+        from benchmarks.running.bench import LEDGER, alone, check_out, contenders
+        from benchmarks.running.bench_ledger import BenchLedger
+        from benchmarks.running.cell import Limits
+        from benchmarks.sweeping.sweeps import Sweep, TheoryOptions, base_scene, run_sweep
 
         asked = _asked(axes, values or [])
         swept_axes: tuple[Axis, ...] = asked["axes"]
@@ -78,8 +78,8 @@ def sweep(
 
 def _asked(axes: list[str], values: list[str]) -> dict[str, Any]:
     """Read names and values of the axes, or a file that has them."""
-    from benchmarks.sweep_axes import axis_named
-    from benchmarks.sweeps import read_sweep
+    from benchmarks.sweeping.sweep_axes import axis_named
+    from benchmarks.sweeping.sweeps import read_sweep
     from semrecon.errors import InputError
 
     if len(axes) == 1 and axes[0].endswith(".toml"):
@@ -108,8 +108,8 @@ def _show(swept: Swept, out: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from benchmarks.sweep_figures import draw_sweep
-    from benchmarks.sweep_summary import summary_rows, sweep_markdown, write_sweep_csv
+    from benchmarks.sweeping.sweep_figures import draw_sweep
+    from benchmarks.sweeping.sweep_summary import summary_rows, sweep_markdown, write_sweep_csv
 
     for ending in ("svg", "png"):
         draw_sweep(out / f"sweep.{ending}", swept)

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.figures import contenders_of, series_of
-from benchmarks.ledger import Row
+from benchmarks.running.ledger import Row
+from benchmarks.seed_study.figures import contenders_of, series_of
 from semrecon.data import Array
 
 COLUMNS = {

@@ -99,8 +99,8 @@ class Cell:
             return self._line
         self.close()
         ours, theirs = Pipe()
-        command = [sys.executable, "-m", "benchmarks.cell", str(theirs.fileno()), str(os.getpid())]
-        root = str(Path(__file__).resolve().parent.parent)
+        command = [sys.executable, "-m", "benchmarks.running.cell", str(theirs.fileno()), str(os.getpid())]
+        root = str(Path(__file__).resolve().parents[2])
         path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
         self._process = subprocess.Popen(
             command,

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.case import is_oracle
-from benchmarks.error_maps import ErrorMap, Strip
-from benchmarks.leaderboard import MARK
-from benchmarks.report_figures import ERRORS, MISSING, UNJUDGED
+from benchmarks.reporting.error_maps import ErrorMap, Strip
+from benchmarks.reporting.leaderboard import MARK
+from benchmarks.reporting.report_figures import ERRORS, MISSING, UNJUDGED
+from benchmarks.running.case import is_oracle
 from semrecon.output.maps import round_length
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from benchmarks.evaluate import true_heights
+from benchmarks.judging.evaluate import true_heights
+from benchmarks.judging.surface_score import cloud_in_world, f_scores, normal_error_deg, world_points
 from benchmarks.scenes import SimulatedSource
-from benchmarks.surface_score import cloud_in_world, f_scores, normal_error_deg, world_points
 from semrecon.data import Array, Estimate, HeightMap, Mask, PointCloud, Poses, TiltSeries
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import nominal_poses, project, view_from_world

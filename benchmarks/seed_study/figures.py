@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.ledger import Row
+from benchmarks.running.ledger import Row
 from semrecon.data import Array, Image, SurfaceMesh
 
 if TYPE_CHECKING:

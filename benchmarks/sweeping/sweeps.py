@@ -16,15 +16,15 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from benchmarks.bench import Plan, Report, measure
-from benchmarks.bench_ledger import BenchLedger, Result
-from benchmarks.cell import Limits
-from benchmarks.limits import LimitOptions, bound_summary
-from benchmarks.runner import code_version, completed, digest
+from benchmarks.judging.limits import LimitOptions, bound_summary
+from benchmarks.judging.sensitivity import predicted
+from benchmarks.running.bench import Plan, Report, measure
+from benchmarks.running.bench_ledger import BenchLedger, Result
+from benchmarks.running.cell import Limits
+from benchmarks.running.runner import code_version, completed, digest
 from benchmarks.scenes import SimulatedSource
-from benchmarks.sensitivity import predicted
 from benchmarks.suite import ALWAYS, SPECIMEN_SEEDS, BenchScene, Purpose, suite
-from benchmarks.sweep_axes import Axis, axis_named
+from benchmarks.sweeping.sweep_axes import Axis, axis_named
 from semrecon.errors import InputError
 from semsim.overrides import BACK_TO_DEFAULT, overridden
 from semsim.scene import Scene, scaled
@@ -211,7 +211,7 @@ def _theories(
     points: Sequence[Point], options: TheoryOptions, record: Path, executor: Executor, report: Report
 ) -> list[Theory]:
     """Work out what is not on record yet; the record is replaced as a whole, so that a kill leaves an old one."""
-    version = code_version("semsim", "benchmarks/limits.py", "benchmarks/sensitivity.py")
+    version = code_version("semsim", "benchmarks/judging/limits.py", "benchmarks/judging/sensitivity.py")
     keys = [digest(point.scene.identity, asdict(options), version) for point in points]
     known: dict[str, Any] = json.loads(record.read_text(encoding="utf-8")) if record.is_file() else {}
     missing = [(key, point.scene.source) for key, point in zip(keys, points, strict=True) if key not in known]

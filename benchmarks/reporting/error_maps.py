@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.bench import LEDGER
-from benchmarks.bench_ledger import BenchLedger, Result
-from benchmarks.case import Case
 from benchmarks.console import Report
-from benchmarks.manifest import Manifest, MethodRecord, read_manifest
-from benchmarks.report_scenes import Truth, drawn_answer, error_limit, truth_of
+from benchmarks.reporting.report_scenes import Truth, drawn_answer, error_limit, truth_of
+from benchmarks.running.bench import LEDGER
+from benchmarks.running.bench_ledger import BenchLedger, Result
+from benchmarks.running.case import Case
+from benchmarks.running.manifest import Manifest, MethodRecord, read_manifest
 from benchmarks.suite import BenchScene, suite
 from semrecon.data import Array, Mask
 from semrecon.errors import InputError

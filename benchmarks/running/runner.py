@@ -12,13 +12,19 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
-from benchmarks.ledger import Ledger, Row
+from benchmarks.running.ledger import Ledger, Row
 
 T = TypeVar("T")
 IN_FLIGHT = 16
 """Calls handed to an executor at a time: more than it has workers, so that none waits."""
-_ROOT = Path(__file__).resolve().parent.parent
-_DECIDING = ("adapt", "contenders", "evaluate", "scenes", "study")
+_ROOT = Path(__file__).resolve().parents[2]
+_DECIDING = (
+    "adapt",
+    "judging/evaluate",
+    "scenes",
+    "seed_study/contenders",
+    "seed_study/study",
+)
 """Modules here that can change a result; figures, tables and recordings only show it."""
 
 
@@ -94,4 +100,7 @@ def code_version(*packages: str) -> str:
 
 
 def _sources(path: Path) -> list[Path]:
-    return [path] if path.is_file() else list(path.rglob("*.py"))
+    found = [path] if path.is_file() else list(path.rglob("*.py"))
+    if not found:
+        raise FileNotFoundError(f"{path} is named among what decides a result, and is not there")
+    return found

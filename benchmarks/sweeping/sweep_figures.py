@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.sweep_summary import MEASURED, Curve, curves
-from benchmarks.sweeps import Swept
+from benchmarks.sweeping.sweep_summary import MEASURED, Curve, curves
+from benchmarks.sweeping.sweeps import Swept
 from semrecon.data import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from benchmarks.planner import Candidate
+    from benchmarks.sweeping.planner import Candidate
 
 COLOURS = ("#1f6fb4", "#d1495b", "#3c8d5a", "#edae49", "#6a4c93", "#00798c", "#a0522d", "#7f7f7f")
 MARKERS = "osD^vPX*"

@@ -6,7 +6,7 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.bench_ledger import Result
+from benchmarks.running.bench_ledger import Result
 from semrecon.errors import InputError
 
 FIXED = ("scene", "method", "repetition", "kind", "failure", "seconds", "peak_mib")

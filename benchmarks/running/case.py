@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cell import Cell, Ended, Limits, forget_peak, resident_bytes
-from benchmarks.judge import Metrics, judge
-from benchmarks.runner import code_version, digest
-from benchmarks.stored import packed, unpacked
+from benchmarks.judging.judge import Metrics, judge
+from benchmarks.running.cell import Cell, Ended, Limits, forget_peak, resident_bytes
+from benchmarks.running.runner import code_version, digest
+from benchmarks.running.stored import packed, unpacked
 from benchmarks.suite import BenchScene
 from semrecon.data import Estimate, TiltSeries
 from semrecon.errors import InputError, MethodError
@@ -26,9 +26,9 @@ WARM_PX = 96
 ORACLE = "oracle_"
 """How the names of those begin that are handed part of the truth."""
 JUDGES = (
-    "benchmarks/judge.py",
-    "benchmarks/evaluate.py",
-    "benchmarks/surface_score.py",
+    "benchmarks/judging/judge.py",
+    "benchmarks/judging/evaluate.py",
+    "benchmarks/judging/surface_score.py",
     "semrecon/judging",
     "semrecon/geometry.py",
     "semrecon/surface/meshing.py",
@@ -92,7 +92,7 @@ def cases(scenes: Sequence[BenchScene], methods: Sequence[Any], repetitions: int
         for repetition in range(repetitions):
             for method in methods:
                 code = code_version(
-                    "semrecon", "benchmarks/case.py", *(("benchmarks/oracles.py",) if is_oracle(method) else ())
+                    "semrecon", "benchmarks/running/case.py", *(("benchmarks/oracles.py",) if is_oracle(method) else ())
                 )
                 key = digest("case", identity, method.name, repr(method), repetition, scene.seed(repetition), code)
                 answer.append(Case(scene, method, repetition, key))
@@ -153,7 +153,7 @@ _cells = threading.local()
 def _called(case: Case, limits: Limits) -> Answer:
     if not hasattr(_cells, "own"):
         _cells.own = Cell()
-    value = _cells.own.call("benchmarks.case:call", case, limits)
+    value = _cells.own.call("benchmarks.running.case:call", case, limits)
     return Answer(case.key, value.kind, value.sentence) if isinstance(value, Ended) else value
 
 

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.bench import LEDGER, Report
-from benchmarks.bench_ledger import BenchLedger, Result
-from benchmarks.leaderboard import HEADINGS, Entry, entries, notes
-from benchmarks.manifest import Manifest, MethodRecord, commit, read_manifest
-from benchmarks.report_figures import plotly_packed, said
-from benchmarks.report_scenes import Section, name_of, section
-from benchmarks.report_sweeps import SweepSection, sweep_section
+from benchmarks.reporting.leaderboard import HEADINGS, Entry, entries, notes
+from benchmarks.reporting.report_figures import plotly_packed, said
+from benchmarks.reporting.report_scenes import Section, name_of, section
+from benchmarks.reporting.report_sweeps import SweepSection, sweep_section
+from benchmarks.running.bench import LEDGER, Report
+from benchmarks.running.bench_ledger import BenchLedger, Result
+from benchmarks.running.manifest import Manifest, MethodRecord, commit, read_manifest
 from benchmarks.suite import BenchScene, suite
 from semrecon.errors import InputError
 

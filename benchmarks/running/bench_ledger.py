@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks.case import Answer, Case, Outcome
-from benchmarks.cell import Limits
+from benchmarks.running.case import Answer, Case, Outcome
+from benchmarks.running.cell import Limits
 from semrecon.errors import InputError
 
 _SCHEMA = """
@@ -49,7 +49,8 @@ NAN = float("nan")
 class Result:
     """A case as tables show it: all but the estimate.
 
-    `kind`, `failure`, `seconds` and `peak_mib` are those of `benchmarks.case.Answer`; `metrics` is empty for a failure.
+    `kind`, `failure`, `seconds` and `peak_mib` are those of `benchmarks.running.case.Answer`; `metrics` is empty for a
+    failure.
     """
 
     key: str

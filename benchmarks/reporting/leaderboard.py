@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.bench_ledger import Result
-from benchmarks.case import contender_of, is_oracle, needs_of
+from benchmarks.running.bench_ledger import Result
+from benchmarks.running.case import contender_of, is_oracle, needs_of
 
 HEADINGS = {
     "median_um": "median (um)",

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from benchmarks.figures import contenders_of, series_of
-from benchmarks.ledger import Row
-from benchmarks.tables import PUBLISHED, Reduction, reduction, reductions_table, table2
+from benchmarks.running.ledger import Row
+from benchmarks.seed_study.figures import contenders_of, series_of
+from benchmarks.seed_study.tables import PUBLISHED, Reduction, reduction, reductions_table, table2
 
 PROPOSED, CONTROL, CORRECTED = "proposed", "disparity_printed", "disparity_boyde"
 SAME_PERCENT = 2.0

@@ -12,14 +12,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from benchmarks.bench import Plan
-from benchmarks.case import Case, contender_of, judge_version, needs_of
+from benchmarks.running.bench import Plan
+from benchmarks.running.case import Case, contender_of, judge_version, needs_of
 from benchmarks.suite import BenchScene, Purpose, described
 from semrecon.errors import InputError
 from semrecon.reconstruction import versions
 
 MANIFEST = "run.json"
-_ROOT = Path(__file__).resolve().parent.parent
+_ROOT = Path(__file__).resolve().parents[2]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.planner import Checked, Planned
+from benchmarks.sweeping.planner import Checked, Planned
 
 
 def verdict(planned: Planned) -> str:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.figures import COLOURS, contenders_of
-from benchmarks.ledger import Row
+from benchmarks.running.ledger import Row
+from benchmarks.seed_study.figures import COLOURS, contenders_of
 from semrecon.data import Array, SurfaceMesh, TiltSeries
 
 if TYPE_CHECKING:

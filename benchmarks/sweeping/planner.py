@@ -20,15 +20,15 @@ from typing import Any
 import numpy as np
 from scipy.optimize import nnls
 
-from benchmarks.bench import Plan, Report, measure
-from benchmarks.bench_ledger import BenchLedger, Result
-from benchmarks.cell import Limits
-from benchmarks.limits import LimitOptions, parallaxes, summary_of
-from benchmarks.runner import completed
+from benchmarks.judging.limits import LimitOptions, parallaxes, summary_of
+from benchmarks.judging.sensitivity import noise_gain
+from benchmarks.running.bench import Plan, Report, measure
+from benchmarks.running.bench_ledger import BenchLedger, Result
+from benchmarks.running.cell import Limits
+from benchmarks.running.runner import completed
 from benchmarks.scenes import SimulatedSource
-from benchmarks.sensitivity import noise_gain
 from benchmarks.suite import BenchScene
-from benchmarks.sweep_summary import MEASURED, interval
+from benchmarks.sweeping.sweep_summary import MEASURED, interval
 from semrecon.errors import InputError, MethodError
 from semsim.capture import prepare
 from semsim.scene import Scene

@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 
-from benchmarks.figures import contenders_of, draw_depth_error, draw_means, draw_reconstruction, draw_runs
-from benchmarks.ledger import Ledger, Row
-from benchmarks.record import record_study
-from benchmarks.runner import run_jobs
+from benchmarks.running.ledger import Ledger, Row
+from benchmarks.running.runner import run_jobs
 from benchmarks.scenes import Progress, SimulatedSource, Source
-from benchmarks.study import jobs
-from benchmarks.summary import PROPOSED, summary
-from benchmarks.tables import write_csv
+from benchmarks.seed_study.figures import contenders_of, draw_depth_error, draw_means, draw_reconstruction, draw_runs
+from benchmarks.seed_study.record import record_study
+from benchmarks.seed_study.study import jobs
+from benchmarks.seed_study.summary import PROPOSED, summary
+from benchmarks.seed_study.tables import write_csv
 from semrecon.data import SurfaceMesh
 from semrecon.errors import InputError
 from semrecon.surface.meshing import mesh_from_points, statistical_outliers

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks.bench_ledger import BenchLedger, Result
-from benchmarks.case import ORACLE, Case, cases, judge_version, run_case, score
-from benchmarks.cell import Limits
-from benchmarks.runner import completed
+from benchmarks.running.bench_ledger import BenchLedger, Result
+from benchmarks.running.case import ORACLE, Case, cases, judge_version, run_case, score
+from benchmarks.running.cell import Limits
+from benchmarks.running.runner import completed
 from benchmarks.suite import BenchScene
 from semrecon.errors import InputError
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.sweeps import Swept
+from benchmarks.sweeping.sweeps import Swept
 from semrecon.data import Array
 
 RESAMPLES = 2000

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.contenders import ALL_VIEWS, CONTENDERS, Contender
-from benchmarks.evaluate import cloud_score, map_score, registration_score
-from benchmarks.ledger import Row
-from benchmarks.runner import Job, code_version, digest, seed_of
+from benchmarks.judging.evaluate import cloud_score, map_score, registration_score
+from benchmarks.running.ledger import Row
+from benchmarks.running.runner import Job, code_version, digest, seed_of
 from benchmarks.scenes import Source, views_from_world
+from benchmarks.seed_study.contenders import ALL_VIEWS, CONTENDERS, Contender
 from semrecon.clouds.registration import SequenceRegistration, register_sequence
 from semrecon.data import Array, HeightMap, Optics, PointCloud, TiltSeries
 from semrecon.errors import MethodError

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.report_figures import Figure, curve_with_band, numbers, share_axis, theory_curve
-from benchmarks.sweep_axes import AXES, Axis
-from benchmarks.sweep_summary import interval
+from benchmarks.reporting.report_figures import Figure, curve_with_band, numbers, share_axis, theory_curve
+from benchmarks.sweeping.sweep_axes import AXES, Axis
+from benchmarks.sweeping.sweep_summary import interval
 from semrecon.data import Array
 from semrecon.errors import InputError
 

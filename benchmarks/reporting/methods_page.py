@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.bench_ledger import Result
-from benchmarks.case import is_oracle
-from benchmarks.error_maps import Record, Strip
-from benchmarks.leaderboard import MARK
-from benchmarks.manifest import MethodRecord
+from benchmarks.reporting.error_maps import Record, Strip
+from benchmarks.reporting.leaderboard import MARK
+from benchmarks.running.bench_ledger import Result
+from benchmarks.running.case import is_oracle
+from benchmarks.running.manifest import MethodRecord
 from semrecon.errors import InputError
 
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.bench_ledger import BenchLedger, Result
-from benchmarks.case import Case
-from benchmarks.judge import filled, grid_um
-from benchmarks.leaderboard import MARK, Entry
-from benchmarks.manifest import MethodRecord, SceneRecord
-from benchmarks.report_figures import Figure, Panel, error_curves, error_panel, height_panel, micrograph
-from benchmarks.stored import unpacked
+from benchmarks.judging.judge import filled, grid_um
+from benchmarks.reporting.leaderboard import MARK, Entry
+from benchmarks.reporting.report_figures import Figure, Panel, error_curves, error_panel, height_panel, micrograph
+from benchmarks.running.bench_ledger import BenchLedger, Result
+from benchmarks.running.case import Case
+from benchmarks.running.manifest import MethodRecord, SceneRecord
+from benchmarks.running.stored import unpacked
 from benchmarks.suite import BenchScene
 from semrecon.data import Array, Mask, TiltSeries
 from semrecon.judging.gauge import gauge_fit, gauge_residual

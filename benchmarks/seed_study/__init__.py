@@ -1,0 +1,1 @@
+"""The seed's study: its contenders, tables, figures and recordings (`python -m benchmarks paper`)."""
