@@ -125,9 +125,14 @@ class RealSource:
     @property
     def identity(self) -> str:
         """Digest of pixels and settings."""
-        content = hashlib.sha256(repr((self.images.optics, self.images.tilts_deg, self.images.tilt_axis_deg)).encode())
-        for view in self.images.views:
+        series = self.images
+        geometry = sorted(series.channel_geometry.items())
+        stated = (series.optics, series.tilts_deg, series.tilt_axis_deg, [view.stage_um for view in series.views])
+        content = hashlib.sha256(repr((*stated, geometry)).encode())
+        for view in series.views:
             content.update(view.image.tobytes())
+            for name, image in sorted(view.channels.items()):
+                content.update(name.encode() + image.tobytes())
         return content.hexdigest()[:32]
 
     def series(self, repetition: int) -> TiltSeries:  # noqa: ARG002 - the only images there are

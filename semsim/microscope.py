@@ -177,7 +177,7 @@ def poses(
     tilts = np.asarray(schedule.tilts_deg) + errors.tilts_deg
     if not (np.abs(tilts) < 90).all():
         raise InputError(f"true tilts must lie between -90 and 90 degrees; stage_errors make them {tilts.tolist()}")
-    shifts = np.array(schedule.shifts_um or ((0.0, 0.0),) * number)
+    shifts = np.array(schedule.shifts_um or ((0.0, 0.0),) * number, dtype=np.float64)  # whole numbers also
     shifts += np.where(np.arange(number)[:, None] == schedule.reference, 0.0, errors.shifts_um)
     rotations = [_camera_rotation(tilt, schedule.tilt_axis_deg + stage.tilt_axis_deg) for tilt in tilts]
     return tuple(

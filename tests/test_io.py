@@ -15,8 +15,9 @@ from PIL import Image
 from semrecon.data import TiltSeries, View
 from semrecon.errors import InputError
 from semrecon.input.images import read_image
+from semrecon.input.intake import Stated, take_in
 from semrecon.input.metadata import read_metadata, zeiss
-from semrecon.input.series import read_images, read_series, write_series
+from semrecon.input.series import read_series, write_series
 from semrecon.output.export import FILES, write_map, write_reconstruction
 from semrecon.pipeline import reconstruct
 from semrecon.reconstruction import jsonable
@@ -228,7 +229,7 @@ def test_plain_images_make_the_same_series(tmp_path: Path) -> None:
     series = bump_series()
     write_series(series, tmp_path / "s")
     paths = sorted((tmp_path / "s").glob("*.tif"))
-    same_series(read_images(paths, [0, 6, 12], 0.1), series)
+    same_series(take_in(paths, Stated((0.0, 6.0, 12.0), pixel_size_um=0.1)).series, series)
 
 
 @pytest.mark.parametrize(

@@ -117,6 +117,12 @@ def test_without_errors_poses_are_those_of_the_schedule():
         assert not drawn.distorted
 
 
+def test_shifts_in_whole_numbers_are_shifts_all_the_same():
+    whole, errors = TiltSchedule((0.0, 0.0), shifts_um=((0, 0), (1, -2))), StageErrors(shift_sigma_um=0.3)
+    first, second = (poses(each, errors, rng=np.random.default_rng(2)) for each in (whole, TiltSchedule((0.0, 0.0))))
+    assert np.allclose(first[1].translation_um - second[1].translation_um, [1, -2, 0], atol=1e-12)
+
+
 def test_a_stated_tilt_error_is_another_tilt_and_leaves_the_nominal_one():
     wrong = poses(TiltSchedule((0.0, 5.0)), StageErrors(tilts_deg=(0.1, -0.25), tilt_axis_deg=2.0))
     right = poses(TiltSchedule((0.1, 4.75), 2.0))

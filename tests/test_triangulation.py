@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from semrecon.data import Array, Optics, PointCloud, Poses, Tracks
+from semrecon.data import Array, Optics, Poses, Tracks
 from semrecon.errors import InputError
 from semrecon.geometry import centred_um, project, rotations_from_tilts, view_from_world
 from semrecon.numerics.point_bands import in_bands
@@ -17,7 +17,6 @@ from semrecon.points.translation import solve_closed_form
 from semrecon.points.triangulation import (
     pair_cloud,
     projection_matrix,
-    reject_outliers,
     reprojection_inliers,
     residuals_px,
     triangulate,
@@ -190,8 +189,7 @@ def test_filter_keeps_what_reprojects_well_and_nothing_else() -> None:
     cloud = triangulate(Tracks(xy), poses, PARALLEL)
     good = reprojection_inliers(cloud, 1.0)
     np.testing.assert_array_equal(good, np.arange(200) % 4 != 0)
-    kept = reject_outliers(cloud, 1.0)
-    assert isinstance(kept, PointCloud)
+    kept = cloud.keep(good)
     np.testing.assert_array_equal(kept.xyz_um, cloud.xyz_um[good])
 
 

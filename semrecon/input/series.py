@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -76,31 +76,6 @@ def series_from_file(folder: Path | str, settings: SeriesFile, crop_bottom_px: i
         views, settings.pixel_size_um, settings.tilt_axis_deg or 0.0, 0.0 if wd_um is None else 1 / wd_um
     )
     return replace(series, channel_geometry=dict(settings.channel))
-
-
-def read_images(
-    paths: Sequence[Path | str],
-    tilts_deg: Sequence[float],
-    pixel_size_um: float,
-    tilt_axis_deg: float = 0.0,
-    crop_bottom_px: int = 0,
-) -> TiltSeries:
-    """Read plain image files as a series.
-
-    Parameters
-    ----------
-    paths, tilts_deg
-        One tilt an image, degrees.
-    pixel_size_um
-        Of all images.
-    crop_bottom_px
-        Rows to cut off at the bottom (a data bar), of all images.
-    """
-    if len(paths) != len(tilts_deg):
-        raise InputError(f"there are {len(tilts_deg)} tilts for {len(paths)} images; give one tilt an image")
-    entries = [ViewEntry(str(path), float(tilt)) for path, tilt in zip(paths, tilts_deg, strict=True)]
-    views = tuple(_read_view(Path(), entry, crop_bottom_px) for entry in entries)
-    return _assemble(views, pixel_size_um, tilt_axis_deg, 0.0)
 
 
 def write_series(series: TiltSeries, folder: Path | str) -> None:

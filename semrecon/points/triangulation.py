@@ -82,17 +82,12 @@ def residuals_px(tracks: Tracks, xyz_um: Array, poses: Poses, optics: Optics) ->
 
 
 def reprojection_inliers(cloud: PointCloud, threshold_px: float) -> Mask:
-    """Tell which points have a position and a residual of at most `threshold_px`, (points,).
+    """Tell which points have a position and a residual of at most `threshold_px`, (points,): the seed's filter.
 
     Between two views a mismatch of delta px across the epipolar line makes a residual of delta / 2, and one along the
     line makes none: such a wrong match passes any threshold.
     """
     return np.asarray(cloud.residual_px <= threshold_px)
-
-
-def reject_outliers(cloud: PointCloud, threshold_px: float) -> PointCloud:
-    """Keep the points that `reprojection_inliers` passes: the seed's filter (section 6)."""
-    return cloud.keep(reprojection_inliers(cloud, threshold_px))
 
 
 def pair_cloud(
