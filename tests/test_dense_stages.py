@@ -11,7 +11,17 @@ from semrecon.dense.pictures import Level, noise_model, noise_variance, prepared
 from semrecon.dense.sightlines import elevation, motion, place, sightlines
 from semrecon.dense.smoothness import applied, edge_weights, solved
 from semrecon.dense.spline import sampled, spline_of
-from semrecon.dense.surface import MOST_RUNGS, SweepOptions, step_height, wide_sweep
+from semrecon.dense.surface import (
+    LEAST_PIXELS,
+    MOST_RUNGS,
+    SweepOptions,
+    coarsest_level,
+    narrow_sweep,
+    step_height,
+    swept,
+    wide_sweep,
+    without_spikes,
+)
 from semrecon.dense.sweep import UNKNOWN, Ladder, correlate, matching_costs
 from semrecon.dense.visibility import visible
 from semrecon.geometry import CAM_FROM_VIEW, back_project, project, rotations_from_tilts
@@ -231,6 +241,62 @@ def test_a_ladder_grows_at_the_end_that_pixels_choose_but_not_without_bound(monk
     assert np.ptp(kept) < 1e-9
     assert abs(moved[1]) > abs(moved[0])
     assert max(np.abs(moved)) < 0.6 * max(SHAPE) + 2 * asked[0].step  # no relief is taller than wide
+
+
+@pytest.mark.parametrize(
+    ("pixels", "tilt_deg", "level"),
+    [(300_000, 10, 0), (300_001, 10, 1), (1_200_001, 10, 2), (300_000, 12, 1), (300_000, 30, 2), (5_000, 30, 0)],
+)
+def test_the_wide_sweep_is_made_at_half_the_size_for_four_times_the_pixels_or_twice_the_parallax(
+    pixels, tilt_deg, level
+):
+    _, _, lines = cameras((0.0, tilt_deg))
+    assert coarsest_level(pixels, lines, SweepOptions()) == level
+    assert pixels / 4**level >= min(LEAST_PIXELS, pixels)
+
+
+def test_spikes_are_taken_off_and_slopes_are_left():
+    y, x = np.indices((30, 40)).astype(float)
+    plane = 2 * x - 0.5 * y
+    spiky = plane.copy()
+    spiky[10, 12:14] += 100
+    inside = slice(6, -6), slice(6, -6)
+    np.testing.assert_allclose(without_spikes(plane)[inside], plane[inside], atol=1e-9)
+    assert np.abs(without_spikes(spiky) - plane)[inside].max() < 2.0
+
+
+STEEP_SHAPE = (100, 140)
+
+
+def steep_pictures():
+    """Views 30 degrees to either side of a slope of 1.2: one shows it stretched to 1.5, the other squeezed to 0.3."""
+    _, _, lines = cameras((-30.0, 0.0, 30.0), 90.0, shape=STEEP_SHAPE)
+    y, x = np.indices(STEEP_SHAPE).astype(float)
+    heights = 1.2 * (x - 70) + 0.1 * (y - 50)
+    return heights, lines, painted(heights, lines, noise=4.0)
+
+
+def share_found(found, heights, lines):
+    """Share of the pixels whose height is right to a pixel of parallax, but for the margin that not all views show."""
+    fastest = np.linalg.norm(lines.parallax(), axis=1).max()
+    return float((np.abs(found - heights) * fastest < 1)[10:-10, 45:-45].mean())
+
+
+def test_windows_along_a_steep_surface_find_what_level_windows_miss():
+    heights, lines, pictures = steep_pictures()
+    span, options = (-95.0, 95.0), SweepOptions()
+    level = share_found(wide_sweep(pictures, lines, span, 1.0, options), heights, lines)
+    assert level < 0.75
+    assert share_found(swept(pictures, lines, span, options), heights, lines) > level + 0.1
+    rough = heights + np.random.default_rng(1).normal(size=heights.shape)
+    assert share_found(narrow_sweep(pictures, lines, rough, 1.0, options), heights, lines) > 0.95
+
+
+def test_a_sweep_may_end_at_a_smaller_size_and_start_from_a_plane():
+    heights, lines, pictures = steep_pictures()
+    found = swept(pictures, lines, (-10.0, 10.0), SweepOptions(), finest=1, plane=heights)
+    assert found.shape == (50, 70)
+    assert np.median(np.abs(2 * found - heights[::2, ::2])[5:-5, 22:-22]) < 1.0
 
 
 def test_the_lowest_cost_is_found_between_the_rungs():

@@ -76,12 +76,12 @@ class ConfidenceOptions:
     doubt: float = 1.5
     radius_px: int = 5
     window_px: float = 4.0
-    noise: float = 1.1
-    length: float = 0.65
-    shading: float = 3.9
+    noise: float = 2.2
+    length: float = 0.6
+    shading: float = 5.2
     slow_px: float = 3.0
-    relief: float = 0.19
-    place_px: float = 2.1
+    relief: float = 0.16
+    place_px: float = 1.2
     most_px: float = 4.0
     most_share: float = 0.03
 

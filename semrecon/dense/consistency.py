@@ -5,19 +5,22 @@ Where nothing can be recognised, each sweep invents a surface of its own, and th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numba
 import numpy as np
 
 from semrecon.data import Array, Mask
-from semrecon.dense.pictures import Level, noise_variance, pyramid
+from semrecon.dense.pictures import Level
 from semrecon.dense.sightlines import Sightlines, elevation, place
-from semrecon.dense.surface import SweepOptions, coarsest_level, wide_sweep
+from semrecon.dense.surface import SweepOptions, swept
 from semrecon.dense.visibility import visible
 
+CHECK_PIXELS = 300_000
+"""The two are compared at the largest size that has at most so many pixels."""
 TOLERANCE_PX = 2.0
-"""Parallax, in pixels of the sweep, by which the two may differ."""
+"""Parallax, in pixels of that size, by which the two may differ."""
 AROUND = 1
 """The other height may be that of a neighbour so many pixels away: edges are never in the same place."""
 
@@ -41,12 +44,10 @@ def confirmed(
     span_px
         Where they lie.
     """
-    depth = coarsest_level(heights.size, options)
-    levels = [pyramid(picture, depth)[depth] for picture in pictures]
-    small, own, other = heights[:: 2**depth, :: 2**depth] / 2**depth, lines.at_level(depth), other_lines.at_level(depth)
-    span = span_px[0] / 2**depth, span_px[1] / 2**depth
-    plane = level_plane(other, lines.reference, small.shape)
-    found = wide_sweep(levels, other, span, noise_variance(depth), options, plane)
+    depth = math.ceil(math.log(max(heights.size / CHECK_PIXELS, 1.0), 4.0))
+    small, own = heights[:: 2**depth, :: 2**depth] / 2**depth, lines.at_level(depth)
+    plane = level_plane(other_lines, lines.reference, heights.shape)
+    found = swept(pictures, other_lines, span_px, options, finest=depth, plane=plane)
     fastest = float(np.linalg.norm(own.parallax(), axis=1).max())
     view = other_lines.reference
     same = np.ones(small.shape, dtype=np.bool_)

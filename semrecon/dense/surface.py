@@ -26,6 +26,15 @@ AT_END = 0.01
 TALLEST = 0.6
 """... but not to heights beyond so many times the longer side of the picture."""
 
+MUCH_PARALLAX = 0.2
+"""Parallax per height from which windows that do not lie along the surface are unlike even on gentle slopes."""
+LEAST_PIXELS = 4_000
+"""Pictures with fewer pixels than that are not halved for the sake of parallax or size."""
+SPIKE_PX = 5
+"""Width of the median that takes spikes off heights before windows are laid along them ..."""
+ALONG_PX = 1.0
+"""... and standard deviation of the blur that follows."""
+
 
 @dataclass(frozen=True)
 class SweepOptions:
@@ -34,7 +43,8 @@ class SweepOptions:
     Parameters
     ----------
     sweep_pixels
-        The wide sweep is made at the largest size that has at most so many pixels.
+        The wide sweep is made at the largest size that has at most so many pixels: noise and windows that do not lie
+        along the surface spoil larger ones.
     step_px
         Parallax between neighbouring rungs in the view that moves most, px.
     radius_px
@@ -43,6 +53,8 @@ class SweepOptions:
         Price of a change of height by one step and by more, where 255 is the cost of no likeness at all.
     reach_px
         Parallax of the narrow sweeps on either side, px.
+    again
+        How many narrow sweeps follow the wide one at its size; at each larger size there is one.
     """
 
     sweep_pixels: int = 300_000
@@ -51,11 +63,25 @@ class SweepOptions:
     small: int = 12
     large: int = 90
     reach_px: float = 3.0
+    again: int = 2
 
 
-def coarsest_level(pixels: int, options: SweepOptions) -> int:
-    """How often a picture is halved for the wide sweep."""
-    return max(0, math.ceil(math.log(max(pixels / options.sweep_pixels, 1.0), 4.0)))
+def halvings(pixels: int, options: SweepOptions) -> int:
+    """How often a picture is halved until it has at most `sweep_pixels` pixels."""
+    return math.ceil(math.log(max(pixels / options.sweep_pixels, 1.0), 4.0))
+
+
+def coarsest_level(pixels: int, lines: Sightlines, options: SweepOptions) -> int:
+    """How often a picture is halved for the wide sweep: for its size, and once more for each doubling of parallax.
+
+    A slope squeezes what a view shows of it by the parallax times the slope; the likeness of a window that does not
+    yet lie along it lasts longest in small pictures, where few pixels hold much form and little noise.
+    """
+    for_size = halvings(pixels, options)
+    fastest = float(np.linalg.norm(lines.parallax(), axis=1).max())
+    for_parallax = math.ceil(math.log2(max(fastest / MUCH_PARALLAX, 1.0)))
+    most = math.floor(math.log(max(pixels / LEAST_PIXELS, 1.0), 4.0))
+    return min(for_size + for_parallax, most)
 
 
 def step_height(lines: Sightlines, options: SweepOptions) -> float:
@@ -99,11 +125,16 @@ def wide_sweep(
 def narrow_sweep(
     levels: Sequence[Level], lines: Sightlines, heights: Array, noise: float, options: SweepOptions
 ) -> Array:
-    """Look again near the heights that are known (rows, columns), px."""
+    """Look again near the heights that are known (rows, columns), px, in windows that lie along the surface."""
     step = step_height(lines, options)
     half = round(options.reach_px / options.step_px)
-    base = np.rint(ndimage.median_filter(heights, 5) / step).astype(np.int32) - half
+    base = np.rint(without_spikes(heights) / step).astype(np.int32) - half
     return _swept(levels, lines, Ladder(base, step, 2 * half + 1), noise, options)[0]
+
+
+def without_spikes(heights: Array) -> Array:
+    """Smooth heights (rows, columns), px, so that windows laid along them are stretched and sheared as the surface."""
+    return np.asarray(ndimage.gaussian_filter(ndimage.median_filter(heights, SPIKE_PX), ALONG_PX))
 
 
 def enlarged(heights: Array, shape: tuple[int, int]) -> Array:
@@ -111,6 +142,48 @@ def enlarged(heights: Array, shape: tuple[int, int]) -> Array:
     rows, columns = np.arange(shape[0]) / 2, np.arange(shape[1]) / 2
     grid = np.meshgrid(rows, columns, indexing="ij")
     return np.asarray(2 * ndimage.map_coordinates(heights, grid, order=1, mode="nearest"))
+
+
+def swept(
+    pictures: Sequence[Level],
+    lines: Sightlines,
+    span_px: tuple[float, float],
+    options: SweepOptions,
+    *,
+    finest: int = 0,
+    plane: Array | None = None,
+) -> Array:
+    """Find heights by a wide sweep and narrow ones about it.
+
+    Parameters
+    ----------
+    pictures
+        All views, prepared.
+    span_px
+        Where heights are looked for first.
+    finest
+        How often the picture is halved for the last sweep.
+    plane
+        Heights from which the span counts, (rows, columns) of the full picture, px; 0 by default.
+
+    Returns
+    -------
+    (rows, columns) of the picture halved `finest` times, px of that size.
+    """
+    depth = max(coarsest_level(pictures[0].values.size, lines, options), finest)
+    pyramids = [pyramid(picture, depth) for picture in pictures]
+    span, ground = (span_px[0] / 2**depth, span_px[1] / 2**depth), None
+    if plane is not None:
+        ground = plane[:: 2**depth, :: 2**depth] / 2**depth
+    small, at_depth, noise = [one[depth] for one in pyramids], lines.at_level(depth), noise_variance(depth)
+    heights = wide_sweep(small, at_depth, span, noise, options, ground)
+    for _ in range(options.again):
+        heights = narrow_sweep(small, at_depth, heights, noise, options)
+    for level in range(depth - 1, finest - 1, -1):
+        levels = [one[level] for one in pyramids]
+        heights = enlarged(heights, levels[0].values.shape)
+        heights = narrow_sweep(levels, lines.at_level(level), heights, noise_variance(level), options)
+    return heights
 
 
 def coarse_to_fine(
@@ -121,6 +194,9 @@ def coarse_to_fine(
     parallax: ParallaxOptions,
 ) -> Array:
     """Find the heights of all pixels of the reference view.
+
+    Sweeps end at the size that has at most `sweep_pixels` pixels; from there on heights are refined at every size. At
+    the full size of large pictures noise makes a sweep worse than the heights it starts from.
 
     Parameters
     ----------
@@ -133,21 +209,16 @@ def coarse_to_fine(
     -------
     (rows, columns), px of the full picture, a number everywhere: what can be trusted is found out afterwards.
     """
-    depth = coarsest_level(pictures[0].values.size, sweep)
-    pyramids = [pyramid(picture, depth) for picture in pictures]
-    heights: Array | None = None
-    for level in range(depth, -1, -1):
-        levels, at_level = [one[level] for one in pyramids], lines.at_level(level)
-        noise = noise_variance(level)
-        if heights is None:
-            span = span_px[0] / 2**level, span_px[1] / 2**level
-            heights = wide_sweep(levels, at_level, span, noise, sweep)
-        else:
+    first = halvings(pictures[0].values.size, sweep)
+    heights = swept(pictures, lines, span_px, sweep, finest=first)
+    pyramids = [pyramid(picture, first) for picture in pictures]
+    for level in range(first, -1, -1):
+        levels, at_level, noise = [one[level] for one in pyramids], lines.at_level(level), noise_variance(level)
+        if level < first:
             heights = enlarged(heights, levels[0].values.shape)
             if level > 0:
                 heights = narrow_sweep(levels, at_level, heights, noise, sweep)
         heights = refined([spline_of(one) for one in levels], at_level, heights, noise, parallax)
-    assert heights is not None
     return heights
 
 
