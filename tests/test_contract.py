@@ -34,6 +34,12 @@ TILTS = TiltSchedule((0.0, 7.0, 14.0))
 SLIDE = TiltSchedule((0.0,) * 7, 0.0, tuple((4.0 * i - 12.0, 0.0) for i in range(7)))
 NEAR_UM = 400.0
 """Working distance of the slide: near enough for some pixels of parallax."""
+TESTED = 3
+"""Seed of speckle and noise on which all is claimed here; none of those that tolerances are from."""
+DEVELOPMENT = range(101, 109)
+"""Seeds of speckle and noise that tolerances are from."""
+MARGIN = 1.5
+"""A tolerance is so many times the worst error of the development seeds, rounded up to two digits."""
 HALVED = "the printed formula halves the depth"
 FLAT = "a plane has no parallax beyond an affine map, so that the cameras stay open"
 NO_SHADING = "what it sees is texture: there is no shading to tell the shape by"
@@ -63,27 +69,27 @@ class Declared:
 
 
 DECLARED: dict[str, Declared] = {
-    "known_rotation": Declared(0.5, 0.5, 0.6),
+    "known_rotation": Declared(0.33, 0.32, 0.43),
     "disparity": Declared(HALVED, HALVED, HALVED),
     "disparity_icp": Declared(HALVED, HALVED, HALVED),
-    "dense_multiview": Declared(0.3, 0.3, 0.5),
-    "affine_factorization": Declared(FLAT, 0.3, 0.5),
-    "multiview_sfm": Declared(FLAT, 0.5, 0.6),
-    "photometric_stereo": Declared(0.2, 0.3, 0.8),
-    "photometric_stereo_uncalibrated": Declared("a plane is its gauge", 1.6, 0.6),
-    "shape_from_shading": Declared(NO_SHADING, NO_SHADING, 3.0),
+    "dense_multiview": Declared(0.084, 0.12, 0.18),
+    "affine_factorization": Declared(FLAT, 0.32, 0.38),
+    "multiview_sfm": Declared(FLAT, 0.32, 0.46),
+    "photometric_stereo": Declared(0.033, 0.12, 0.53),
+    "photometric_stereo_uncalibrated": Declared("a plane is its gauge", 2.9, 1.1),
+    "shape_from_shading": Declared(NO_SHADING, NO_SHADING, 2.8),
     "essential_sfm": Declared(NO_PERSPECTIVE, NO_PERSPECTIVE, NO_PERSPECTIVE),
     "incremental_sfm": Declared(NO_PERSPECTIVE, NO_PERSPECTIVE, NO_PERSPECTIVE, package="pycolmap"),
-    "light_field": Declared(0.5, 0.6, 0.8, series="slide"),
+    "light_field": Declared(0.31, 0.36, 0.59, series="slide"),
 }
-"""One line a method; those still to come may have theirs already."""
+"""One line a method: `MARGIN` times the worst of the `DEVELOPMENT` seeds, whatever the seed `TESTED` would say."""
 
 VARIANTS: dict[str, tuple[Method, Declared]] = {
-    "known_rotation-icp": (KnownRotation(merge="icp"), Declared(0.8, 0.8, 0.9)),
-    "known_rotation-refine": (KnownRotation(refine=True), Declared(0.5, 0.5, 0.6)),
-    "disparity-boyde": (Disparity("boyde"), Declared(0.8, 0.8, 0.9)),
-    "disparity-dense": (Disparity("boyde", "dense"), Declared(0.25, 0.25, 0.4)),
-    "disparity_icp-symmetric-dense": (DisparityIcp("symmetric", "dense"), Declared(0.25, 0.3, 1.0)),
+    "known_rotation-icp": (KnownRotation(merge="icp"), Declared(0.53, 0.52, 0.83)),
+    "known_rotation-refine": (KnownRotation(refine=True), Declared(0.33, 0.32, 0.48)),
+    "disparity-boyde": (Disparity("boyde"), Declared(0.56, 0.56, 0.67)),
+    "disparity-dense": (Disparity("boyde", "dense"), Declared(0.17, 0.18, 0.26)),
+    "disparity_icp-symmetric-dense": (DisparityIcp("symmetric", "dense"), Declared(0.18, 0.19, 0.49)),
 }
 """Methods with other options; their names here are only for the reports of tests."""
 
@@ -104,8 +110,11 @@ EVERY = pytest.mark.parametrize("name", CONTENDERS)
 
 
 @lru_cache
-def photographed(shape: str, kind: str = "tilted") -> tuple[TiltSeries, GroundTruth]:
-    """Photograph a shape that is a formula, 256 x 192, well exposed; nothing in the pictures can be written."""
+def photographed(shape: str, kind: str = "tilted", seed: int = TESTED) -> tuple[TiltSeries, GroundTruth]:
+    """Photograph a shape that is a formula, 256 x 192, well exposed; nothing in the pictures can be written.
+
+    The seed is that of the speckle and of the noise.
+    """
     made = scene(shape)
     signal = replace(made.signal, backscatter=BackscatterOptions() if kind == "tilted" else None)
     microscope = made.microscope if kind == "tilted" else replace(made.microscope, working_distance_um=NEAR_UM)
@@ -118,8 +127,9 @@ def photographed(shape: str, kind: str = "tilted") -> tuple[TiltSeries, GroundTr
         microscope=microscope,
         schedule=schedule,
         detector=replace(made.detector, dose_e=2000.0),
+        specimen_seed=seed,
     )
-    capture = simulate(made, seed=3)
+    capture = simulate(made, seed=seed)
     return frozen(series_from_capture(capture)), capture.truth
 
 
@@ -378,6 +388,24 @@ def test_units_and_frames_are_right_on_a_known_shape(name: str, shape: str) -> N
     series, truth = photographed(shape, declared.series)
     errors = depth_errors_um(method, usual, series, truth)
     assert max(errors.values()) < tolerance, errors
+
+
+def tolerance_um(name: str, shape: str) -> float:
+    """Work out the tolerance of a line by the rule: what to write into `DECLARED` when a method has changed."""
+    method, declared = CONTENDERS[name]
+    worst = 0.0
+    for seed in DEVELOPMENT:
+        series, truth = photographed.__wrapped__(shape, declared.series, seed)
+        worst = max(worst, *depth_errors_um(method, answer(method, series), series, truth).values())
+    unit = 10.0 ** (np.floor(np.log10(MARGIN * worst)) - 1)
+    return float(np.ceil(MARGIN * worst / unit) * unit)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["disparity-dense", "photometric_stereo"])
+def test_tolerances_are_those_of_the_rule(name: str) -> None:
+    """For two lines that are quick to work out; a last digit may differ from one machine to another."""
+    assert tolerance_um(name, "plane") == pytest.approx(CONTENDERS[name][1].plane, rel=0.1)
 
 
 @pytest.mark.parametrize("name", ["disparity", "disparity_icp"])

@@ -10,6 +10,8 @@ from scipy import ndimage
 
 from benchmarks.adapt import series_from_capture
 from semrecon.data import Optics, TiltSeries, View
+from semrecon.dense.epipolar_plane import SlopeOptions, stage_sightlines
+from semrecon.dense.slope_trust import found_again, off_centre, stated_sigma
 from semrecon.errors import MethodError
 from semrecon.geometry import project
 from semrecon.judging.gauge import gauge_residual
@@ -72,7 +74,7 @@ def test_a_speckled_plane_comes_back():
     error = errors_um(points)
     assert len(points) > 0.6 * 200 * 150
     assert 0.01 < np.median(np.abs(error)) / um_a_px < 0.05
-    assert 0.8 < 1.4826 * np.median(np.abs(error) / points.sigma_um) < 1.7
+    assert 0.6 < 1.4826 * np.median(np.abs(error) / points.sigma_um) < 1.3
     design = np.column_stack([points.xyz_um[:, :2], np.ones(len(points))])
     fitted = np.linalg.lstsq(design, points.xyz_um[:, 2], rcond=None)[0]
     np.testing.assert_allclose(fitted[:2], SLOPE, atol=0.005)
@@ -175,6 +177,78 @@ def test_bad_views_are_answered_or_refused_in_a_sentence(spoiled):
             assert np.median(np.abs(errors_um(estimate.points))) < 0.1 * estimate.diagnostics["um_a_px"]
 
 
+def test_beside_a_lone_edge_the_height_is_that_of_the_edge():
+    """Closed form: all information in one column lies as far aside as the column is; evenly spread, nowhere."""
+    weight = np.full((60, 60), 1e-9)
+    weight[:, 30] = 1.0
+    aside = off_centre(weight, 3.0)
+    np.testing.assert_allclose(aside[20:40, 24:37], np.abs(np.arange(24, 37) - 30.0)[None] * np.ones((20, 1)), atol=0.1)
+    assert off_centre(np.ones((60, 60)), 3.0)[20:40, 20:40].max() < 1e-6
+
+
+def test_sigma_is_that_of_noise_on_a_plane_and_more_on_relief():
+    """Averaged noise on any plane is stated as it is, to a third; a ridge as high as the window is wide is not."""
+    rng = np.random.default_rng(8)
+    rough = ndimage.gaussian_filter(rng.normal(size=(200, 200)), 3.0)
+    noise = np.full(rough.shape, rough.std())
+    column = np.arange(200.0)
+    even = {"window_px": 3.0, "relief": 3.5, "aside": 2.8}
+    plane = stated_sigma(rough + 0.4 * column, noise, np.full(rough.shape, 0.5), **even)
+    level = stated_sigma(rough, noise, np.full(rough.shape, 0.5), **even)
+    inner = np.s_[40:-40, 40:-40]
+    assert np.sqrt(np.mean(plane[inner] ** 2)) == pytest.approx(np.sqrt(np.mean(level[inner] ** 2)), rel=0.05)
+    assert 1.0 <= np.sqrt(np.mean(level[inner] ** 2)) / rough.std() < 1.5
+    ridge = stated_sigma(rough + 3.0 * np.exp(-((column - 100) ** 2) / 18), noise, np.zeros(rough.shape), **even)
+    assert np.median(ridge[:, 100]) > 1.0
+
+
+def test_a_height_that_the_other_end_does_not_find_is_refuted():
+    """What is 1 px of motion away is; half of that is not; what the other view has no picture of is not judged."""
+    lines = stage_sightlines(slid(), STEPS)
+    heights = np.zeros(OPTICS.shape)
+    a_px = 1500 / 80  # um of height, and px, for a pixel of motion over the path
+    for apart, agreed in ((0.5 * a_px, True), (1.5 * a_px, False), (-1.5 * a_px, False)):
+        again = found_again(heights, heights + apart, lines, 4, 1.0)
+        assert again[:, :115].all() == agreed
+        assert again[:, 121:].all()  # moved by 80 px, these have left the picture
+
+
+def test_paint_of_its_own_in_one_view_is_left_out_of_it():
+    """A speck of dust that lies in front of the middle view alone: the others still measure what is behind."""
+    series = rendered(STEPS)
+    images = [view.image.copy() for view in series.views]
+    images[2][60:80, 100:120] = 250 + np.random.default_rng(3).normal(0, NOISE, (20, 20))
+    views = tuple(replace(view, image=image) for view, image in zip(series.views, images, strict=True))
+    dusty = replace(series, views=views)
+    hidden, believed = (answer(dusty, slopes=SlopeOptions(occluded=o)) for o in (3.0, 1e9))
+    behind = np.s_[62:78, 63:77]  # the reference, 40 um along the path, has the place 40 px to the left, less parallax
+
+    def wrong(estimate):
+        error = estimate.heights.z_um - found().heights.z_um
+        return float(np.nanmean(np.abs(error[behind]))), float(np.isfinite(error[behind]).mean())
+
+    (error, share), (error_believed, share_believed) = wrong(hidden), wrong(believed)
+    assert share == 1.0
+    assert error < 0.1 * error_believed
+    assert share_believed < 0.95
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("grains", [21, 22, 23])
+def test_sigma_is_right_on_grains(grains):
+    """Two-sided: of the heights 0.55 to 0.8 lie within one sigma of the truth and 0.8 to 0.96 within two."""
+    named = scaled(scene("translation"), 0.5)
+    capture = simulate(replace(named, specimen_seed=grains), np.random.default_rng(grains))
+    series, truth = series_from_capture(capture), capture.truth
+    estimate = answer(series).heights
+    others = sum(truth.visible(v, truth.buffers[0].position_um).astype(int) for v in range(1, len(series)))
+    true = np.where(others >= 2, truth.height_map(0), np.nan)
+    error = gauge_residual(estimate.z_um, true, ("offset",), None, "absolute")
+    ratio = (np.abs(error) / estimate.sigma_um)[np.isfinite(error)]
+    assert 0.55 < np.mean(ratio <= 1) < 0.8
+    assert 0.8 < np.mean(ratio <= 2) < 0.96
+
+
 @pytest.mark.slow
 def test_the_sliding_scene_is_measured():
     """Sand grains at half size, path 250 px, 20 um of height a px: shading that travels with the beam leaves 0.4 px."""
@@ -184,4 +258,4 @@ def test_the_sliding_scene_is_measured():
     others = sum(truth.visible(v, truth.buffers[0].position_um).astype(int) for v in range(1, len(series)))
     error = gauge_residual(np.where(others >= 2, heights, np.nan), truth.height_map(0), ("offset",), None, "absolute")
     assert 3.0 < np.nanmedian(np.abs(error)) < 12.0
-    assert np.isfinite(error).sum() > 0.7 * (others >= 2).sum()
+    assert np.isfinite(error).sum() > 0.65 * (others >= 2).sum()

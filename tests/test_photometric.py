@@ -8,13 +8,14 @@ import pytest
 
 from benchmarks.adapt import series_from_capture
 from benchmarks.judging.evaluate import commonly_visible, map_score
-from semrecon.data import ChannelGeometry, Optics, TiltSeries, View
+from semrecon.data import ChannelGeometry, HeightMap, Optics, TiltSeries, View
 from semrecon.errors import InputError, MethodError
 from semrecon.input.images import read_image
 from semrecon.judging.gauge import gauge_residual
 from semrecon.methods.photometric_stereo import PhotometricStereo, UncalibratedPhotometricStereo
 from semrecon.photometry.bas_relief import integrable, three_factors
 from semrecon.photometry.photometric import fit_normals, slopes
+from semrecon.photometry.reflectance_map import measure
 from semsim.backscatter import BackscatterOptions
 from semsim.capture import simulate
 from semsim.detector import DetectorOptions
@@ -23,6 +24,7 @@ from semsim.scenes import scene
 
 PIXEL_UM, SIZE = 0.1, 96
 AZIMUTHS_DEG, ELEVATION_DEG = (0.0, 90.0, 180.0, 270.0), 50.0
+LAMBERT = PhotometricStereo(ambient=0.0)
 METHODS = (PhotometricStereo(), UncalibratedPhotometricStereo())
 
 
@@ -66,12 +68,12 @@ def median_error_um(found, gauge=("offset",)):
 @pytest.mark.parametrize("azimuths", [AZIMUTHS_DEG, (20.0, 140.0, 260.0), (0.0, 60.0, 120.0, 180.0, 240.0, 300.0)])
 def test_lamberts_law_without_noise_gives_absolute_heights(azimuths):
     """0.0001 um of 1.5 um: what the trapezoid rule leaves. Neither scale nor plane is taken away."""
-    assert median_error_um(heights(PhotometricStereo(), series_of(lambert(azimuths), azimuths))) < 1e-4
+    assert median_error_um(heights(LAMBERT, series_of(lambert(azimuths), azimuths))) < 1e-4
 
 
 def test_a_yield_that_differs_from_place_to_place_cancels():
     patchy = np.random.default_rng(1).uniform(0.4, 1.6, (SIZE, SIZE))
-    plain, painted = (heights(PhotometricStereo(), series_of(lambert(yield_=y))) for y in (1.0, patchy))
+    plain, painted = (heights(LAMBERT, series_of(lambert(yield_=y))) for y in (1.0, patchy))
     np.testing.assert_allclose(painted, plain, atol=1e-9)
 
 
@@ -89,16 +91,16 @@ def test_turning_picture_and_detectors_turns_the_surface():
     azimuths = (10.0, 130.0, 250.0)
     signals = lambert(azimuths)
     turned = series_of(np.rot90(signals, axes=(1, 2)), [a + 90 for a in azimuths])
-    straight = heights(PhotometricStereo(), series_of(signals, azimuths))
-    np.testing.assert_allclose(heights(PhotometricStereo(), turned), np.rot90(straight), atol=1e-6)
+    straight = heights(LAMBERT, series_of(signals, azimuths))
+    np.testing.assert_allclose(heights(LAMBERT, turned), np.rot90(straight), atol=1e-6)
 
 
 def test_an_elevation_that_nobody_states_is_a_scale():
     signals = lambert()
     unstated = series_of(signals, elevation_deg=None)
-    assumed = heights(PhotometricStereo(elevation_deg=35.0), unstated)
+    assumed = heights(PhotometricStereo(elevation_deg=35.0, ambient=0.0), unstated)
     factor = np.tan(np.deg2rad(35.0)) / np.tan(np.deg2rad(ELEVATION_DEG))
-    np.testing.assert_allclose(assumed, factor * heights(PhotometricStereo(), series_of(signals)), atol=2e-5)
+    np.testing.assert_allclose(assumed, factor * heights(LAMBERT, series_of(signals)), atol=2e-5)
 
 
 def test_without_directions_the_bas_relief_is_all_that_is_lost():
@@ -154,7 +156,8 @@ def test_a_shadow_on_one_of_four_detectors_is_left_out():
     signals = lambert() + np.random.default_rng(3).normal(0, 0.05, (4, SIZE, SIZE))
     signals[2, 30:60, 20:50] *= 0.3
     kept, believed = (
-        median_error_um(heights(PhotometricStereo(reject_sigmas=s), series_of(signals))) for s in (5.0, 1e9)
+        median_error_um(heights(PhotometricStereo(reject_sigmas=s, ambient=0.0), series_of(signals)))
+        for s in (5.0, 1e9)
     )
     assert kept < 0.01
     assert believed > 3 * kept
@@ -166,9 +169,86 @@ def test_a_shadow_on_one_of_four_detectors_is_left_out():
 def test_black_and_white_pixels_are_not_measurements():
     grey = np.clip(lambert() * 2, 1, 254).astype(np.uint8)
     grey[0, 10:20, 10:20], grey[1, 10:20, 10:20] = 255, 0
-    found = heights(PhotometricStereo(), series_of(grey))
+    found = heights(LAMBERT, series_of(grey))
     assert np.isnan(found[10:20, 10:20]).all()
     assert np.isfinite(found).sum() == SIZE**2 - 100
+
+
+@pytest.mark.parametrize("ambient", [0.1, 0.3, 0.8])
+def test_a_constant_in_the_signals_is_taken_out(ambient):
+    """Exact with it, too flat without: the constant is a share of what a level place gives, and goes with the yield."""
+    patchy = np.random.default_rng(1).uniform(0.4, 1.6, (SIZE, SIZE))
+    level = 100 * np.sin(np.deg2rad(ELEVATION_DEG))
+    series = series_of(patchy * (lambert() + ambient * level))
+    assert median_error_um(heights(PhotometricStereo(ambient=ambient), series)) < 1e-4
+    assert median_error_um(heights(LAMBERT, series)) > 0.01
+
+
+def ball(law, radius_um=4.0):
+    """A half ball on nothing, as detectors of any law see it: series and its known heights."""
+    row, column = np.mgrid[0:SIZE, 0:SIZE].astype(float)
+    x, y = (column - (SIZE - 1) / 2) * PIXEL_UM, -(row - (SIZE - 1) / 2) * PIXEL_UM
+    z = np.sqrt(np.where(np.hypot(x, y) < 0.97 * radius_um, radius_um**2 - x**2 - y**2, np.nan))
+    signals = law([np.nan_to_num((x * d[0] + y * d[1] + z * d[2]) / radius_um) for d in towards(AZIMUTHS_DEG)])
+    return series_of(signals), HeightMap(z, np.full(z.shape, np.nan), PIXEL_UM)
+
+
+def unlike_lambert(cosines):
+    """Gains of their own, a power, a constant: what no formula of ours knows."""
+    gains = (90.0, 100.0, 115.0, 105.0)
+    return np.stack([g * (0.4 + np.maximum(c, 0) ** 1.3) for g, c in zip(gains, cosines, strict=True)])
+
+
+def test_a_measured_reflectance_map_needs_no_law(tmp_path):
+    """A ball tells what the detectors do; the hill comes out to 0.02 um of 1.5, whatever the yield."""
+    file = tmp_path / "ball.npz"
+    measure(*ball(unlike_lambert)).save(file)
+    cosines = [signal / 100 for signal in lambert()]
+    patchy = np.random.default_rng(1).uniform(0.4, 1.6, (SIZE, SIZE))
+    series = series_of(patchy * unlike_lambert(cosines))
+    looked_up = heights(PhotometricStereo(calibration=str(file)), series)
+    by_formula = median_error_um(heights(PhotometricStereo(), series))
+    assert median_error_um(looked_up) < 0.02
+    assert by_formula > 5 * median_error_um(looked_up)
+
+
+def test_a_measured_map_is_the_slopes_of_its_own_ball():
+    series, known = ball(unlike_lambert)
+    table = measure(series, known)
+    signals = np.stack([series.views[0].channels[name] for name in table.channels])
+    slope_x, slope_y = table.look_up(signals, np.isfinite(known.z_um)[None].repeat(4, axis=0))
+    down, across = np.gradient(known.z_um, PIXEL_UM)
+    gentle = np.hypot(across, down) < 1.5
+    assert np.median(np.abs(slope_x - across)[gentle]) < 0.02
+    assert np.median(np.abs(slope_y + down)[gentle]) < 0.02
+    assert np.isnan(slope_x[np.isnan(known.z_um)]).all()
+
+
+def test_signals_that_the_known_body_never_gave_are_no_normals():
+    table = measure(*ball(unlike_lambert))
+    strange = np.stack([np.full((8, 8), level) for level in (900.0, 1.0, 900.0, 1.0)])
+    assert np.isnan(table.look_up(strange, np.ones(strange.shape, bool))[0]).all()
+
+
+def test_what_is_no_map_is_told_in_a_sentence(tmp_path):
+    series, known = ball(unlike_lambert)
+    with pytest.raises(InputError, match="is not there"):
+        heights(PhotometricStereo(calibration=str(tmp_path / "none.npz")), series)
+    (tmp_path / "text.npz").write_text("no map")
+    with pytest.raises(InputError, match="is no reflectance map"):
+        heights(PhotometricStereo(calibration=str(tmp_path / "text.npz")), series)
+    with pytest.raises(InputError, match="known heights are"):
+        measure(series, replace(known, z_um=known.z_um[1:]))
+    with pytest.raises(InputError, match="too few for a map"):
+        measure(series, replace(known, z_um=np.where(np.indices(known.z_um.shape)[0] < 60, np.nan, known.z_um * 0)))
+    measure(series, known).save(tmp_path / "ball.npz")
+    with pytest.raises(InputError, match="option channels names a, b, c, but"):
+        heights(PhotometricStereo(channels=("a", "b", "c"), calibration=str(tmp_path / "ball.npz")), series)
+
+
+def test_an_ambient_share_of_all_is_refused():
+    with pytest.raises(InputError, match="ambient"):
+        PhotometricStereo(ambient=1.0)
 
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda m: m.name)

@@ -19,6 +19,7 @@ from scipy import ndimage
 from semrecon.data import Array, Mask, Poses, TiltSeries
 from semrecon.dense.pictures import Level, prepared, pyramid
 from semrecon.dense.sightlines import Sightlines, sightlines
+from semrecon.dense.slope_trust import check_views, found_again, off_centre, seen_from, stated_sigma
 from semrecon.dense.spline import Spline, sampled, spline_of
 from semrecon.geometry import rotations_from_tilts
 
@@ -43,6 +44,14 @@ class SlopeOptions:
         Steps of the fit.
     least_views
         Views that must see a point.
+    occluded
+        A view is left out of a window in which it differs from the reference view by so many times the mean-square
+        difference that half of the views stay below: something stands in front of it there.
+    check_rounds, agreement_px
+        Steps of the fit when heights are looked for again from other views, and how far the two may be apart, in pixels
+        of motion between the views.
+    relief, aside
+        What the window costs, see `stated_sigma`; both found from simulated grains.
     """
 
     reach: float = 0.7
@@ -52,6 +61,11 @@ class SlopeOptions:
     detail_px: float = 8.0
     rounds: int = 8
     least_views: int = 3
+    occluded: float = 3.0
+    check_rounds: int = 2
+    agreement_px: float = 1.0
+    relief: float = 3.5
+    aside: float = 2.8
 
 
 @dataclass(frozen=True)
@@ -60,8 +74,13 @@ class Slopes:
 
     Parameters
     ----------
-    heights, sigma
-        Along the beam, up is positive, with one standard deviation from the scatter of the grey values.
+    heights, noise, sigma
+        Along the beam, up is positive; one standard deviation from the scatter of the grey values alone, and one with
+        what the window costs.
+    aside_px
+        How far from the pixel the middle of what the height rests on lies, px.
+    found_again
+        Whether other views along the path have the same height.
     contrast
         Share of the grey values' variance in the window that the views have in common, 0 to 1.
     stage_px
@@ -69,9 +88,22 @@ class Slopes:
     """
 
     heights: Array
+    noise: Array
     sigma: Array
+    aside_px: Array
+    found_again: Mask
     contrast: Array
     stage_px: Array
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """One step and its standard deviation, px; what share of the variance views have in common; information a pixel."""
+
+    step: Array
+    noise: Array
+    contrast: Array
+    weight: Array
 
 
 def stage_sightlines(series: TiltSeries, stage_um: Array) -> Sightlines:
@@ -90,23 +122,43 @@ def slopes(series: TiltSeries, stage_um: Array, options: SlopeOptions) -> Slopes
     """
     lines = stage_sightlines(series, stage_um)
     pictures = [_detail(prepared(view), options) for view in series.views]
-    halves = [pyramid(picture, 1)[1] for picture in pictures]
-    start = _ladder([spline_of(half) for half in halves], lines.at_level(1), halves[0].values.shape, options)
-    shape = series.optics.shape
-    heights = 2 * np.repeat(np.repeat(start, 2, axis=0), 2, axis=1)[: shape[0], : shape[1]]
     splines = [spline_of(picture) for picture in pictures]
-    for turn in range(options.rounds):
-        step, _, _ = _fit(splines, lines, heights, options)
-        heights = heights + step
-        if turn == options.rounds // 2:
+    halves = [spline_of(pyramid(picture, 1)[1]) for picture in pictures]
+    heights, lines = _climbed(splines, halves, lines, options, options.rounds, steady=True)
+    found = _fit(splines, lines, heights, options)
+    again = np.ones(heights.shape, dtype=np.bool_)
+    for view in check_views(lines):
+        theirs, _ = _climbed(splines, halves, seen_from(lines, view), options, options.check_rounds, steady=False)
+        again &= found_again(heights, theirs, lines, view, options.agreement_px)
+    settled = np.abs(found.step) * float(np.linalg.norm(lines.parallax(), axis=1).max()) < 0.1
+    heights = np.where(settled, heights, np.nan)
+    aside = off_centre(found.weight, options.window_px)
+    sigma = stated_sigma(
+        heights, found.noise, aside, window_px=options.window_px, relief=options.relief, aside=options.aside
+    )
+    return Slopes(heights, found.noise, sigma, aside, again, found.contrast, lines.matrices[:, :2, 3])
+
+
+def _climbed(
+    splines: Sequence[Spline],
+    halves: Sequence[Spline],
+    lines: Sightlines,
+    options: SlopeOptions,
+    rounds: int,
+    *,
+    steady: bool,
+) -> tuple[Array, Sightlines]:
+    """Heights (rows, columns) px on the grid of the reference, and the geometry with the stage put right."""
+    shape = splines[lines.reference].coefficients.shape
+    start = _ladder(halves, lines.at_level(1), halves[0].coefficients.shape, options)
+    heights = 2 * np.repeat(np.repeat(start, 2, axis=0), 2, axis=1)[: shape[0], : shape[1]]
+    for turn in range(rounds):
+        heights = heights + _fit(splines, lines, heights, options).step
+        if turn == rounds // 2:
             heights = np.where(np.isfinite(heights), ndimage.median_filter(heights, 5), np.nan)
-        if 0 < turn < options.rounds - 1:
+        if steady and 0 < turn < rounds - 1:
             lines = _steadied(splines, lines, heights)
-    step, sigma, contrast = _fit(splines, lines, heights, options)
-    moves = float(np.linalg.norm(lines.parallax(), axis=1).max())
-    settled = np.abs(step) * moves < 0.1
-    kept, sigma, contrast = (np.where(settled, one, np.nan) for one in (heights, sigma, contrast))
-    return Slopes(kept, sigma, contrast, lines.matrices[:, :2, 3])
+    return heights, lines
 
 
 def _detail(level: Level, options: SlopeOptions) -> Level:
@@ -136,16 +188,13 @@ def _ladder(splines: Sequence[Spline], lines: Sightlines, shape: tuple[int, ...]
     return np.where(np.isfinite(best), ndimage.median_filter(best, 5), np.nan)
 
 
-def _fit(
-    splines: Sequence[Spline], lines: Sightlines, heights: Array, options: SlopeOptions
-) -> tuple[Array, Array, Array]:
+def _fit(splines: Sequence[Spline], lines: Sightlines, heights: Array, options: SlopeOptions) -> _Fit:
     """Take one step of least squares on the slope that a window shares.
 
-    Returns step and standard deviation, px, and the share of the grey values' variance that the views have in common.
     The gradient is that of the mean of the views: the gradient of one noisy view goes with its own noise.
     """
     values, across, down = _sheared(splines, lines, heights)
-    seen = np.isfinite(values)
+    seen = _unhidden(values, lines.reference, options)
     views = seen.sum(axis=0)
     enough = views >= options.least_views
     mean, gx, gy = (_mean(one, seen) for one in (values, across, down))
@@ -168,7 +217,23 @@ def _fit(
     share = _windowed(enough.astype(np.float64), options.window_px)
     common = whole / np.maximum(whole + noise * share, 1e-12)
     step = np.clip(step, -0.5 / moves, 0.5 / moves)
-    return tuple(np.where(enough, one, np.nan) for one in (step, sigma, common))  # type: ignore[return-value]
+    step, sigma, common = (np.where(enough, one, np.nan) for one in (step, sigma, common))
+    return _Fit(step, sigma, common, weight)
+
+
+def _unhidden(values: Array, reference: int, options: SlopeOptions) -> Mask:
+    """Where each view shows the same surface as the reference, (views, rows, columns)."""
+    seen = np.isfinite(values)
+    square = np.where(seen & seen[reference], values - values[reference], 0.0) ** 2
+    apart = np.stack([_windowed(one.astype(np.float64), options.window_px) for one in square])
+    share = np.stack([_windowed(one.astype(np.float64), options.window_px) for one in seen])
+    apart = np.where(seen, apart / np.maximum(share, 1e-6), np.inf)
+    apart[reference] = np.inf
+    others = np.maximum(seen.sum(axis=0) - 1, 1)
+    usual = np.take_along_axis(np.sort(apart, axis=0), ((others - 1) // 2)[None], axis=0)
+    hidden = apart > options.occluded * usual
+    hidden[reference] = False
+    return np.asarray(seen & ~hidden)
 
 
 def _steadied(splines: Sequence[Spline], lines: Sightlines, heights: Array) -> Sightlines:

@@ -27,7 +27,9 @@ class LightField:
     After Ding et al. 2019: a positioner slides the specimen step by step, and the linear structures in the stack of
     views tell the depth. We deviate in this: steps are known stage positions of any length and direction, not many
     small equal ones, so the stack is sheared by them first; slopes are fitted to the grey values of all views in a
-    window instead of to detected lines; and the positions of the stage are corrected from the images.
+    window instead of to detected lines; and the positions of the stage are corrected from the images. A view in which
+    something stands before a place is left out there, what views farther along the path do not find again is left
+    open, and so is what would get its height from an edge beside it.
 
     A shift has parallax under perspective alone: the working distance must be stated, and the relief has to be a fair
     share of it. Heights are measured from the plane on which the pixel size holds, but an error of the stage that grows
@@ -40,12 +42,16 @@ class LightField:
     least_contrast
         Least share of the grey values' variance in a window that the views must have in common.
     most_sigma_px
-        Greatest standard deviation, as motion of a point over the whole path.
+        Greatest standard deviation from noise, as motion of a point over the whole path.
+    most_aside
+        Farthest that the middle of what a height rests on may lie from its pixel, in parts of the window: beside a
+        bright rim a dark gap would get the height of the rim.
     """
 
     slopes: SlopeOptions = field(default_factory=SlopeOptions)
     least_contrast: float = 0.3
     most_sigma_px: float = 0.3
+    most_aside: float = 1.0
 
     name: ClassVar[str] = "light_field"
     citation: ClassVar[str] = (
@@ -65,7 +71,9 @@ class LightField:
         optics, view = series.optics, series.reference
         path_px = float(np.linalg.norm(np.ptp(found.stage_px, axis=0)))
         motion = optics.inverse_working_distance * optics.pixel_size_um * path_px
-        kept = (found.contrast >= self.least_contrast) & (found.sigma * motion <= self.most_sigma_px)
+        seen = (found.contrast >= self.least_contrast) & (found.noise * motion <= self.most_sigma_px)
+        own = found.aside_px <= self.most_aside * self.slopes.window_px
+        kept = seen & own & found.found_again & np.isfinite(found.heights + found.sigma)
         if kept.mean() < LEAST_SHARE:
             raise MethodError(
                 f"the views agree on the height of {int(kept.sum())} pixels only: more contrast, less noise, a longer "
@@ -89,6 +97,8 @@ class LightField:
                 "stage_correction_px": found.stage_px - _relative_px(series),
                 "median_height_um": middle,
                 "pixels": int(kept.sum()),
+                "not_found_again": int((seen & ~found.found_again).sum()),
+                "not_their_own": int((seen & ~own).sum()),
                 "median_sigma_um": float(np.nanmedian(heights.sigma_um)),
             },
         )

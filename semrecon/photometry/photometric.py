@@ -121,3 +121,33 @@ def slopes(vector: Array) -> tuple[Array, Array, Array]:
         good = upright > 1 / np.hypot(1, STEEPEST)
         slope_x, slope_y = np.where(good, -x / z, np.nan), np.where(good, -y / z, np.nan)
     return slope_x, slope_y, np.where(good, np.nan_to_num(upright) ** 2, 0.0)
+
+
+def with_ambient(vector: Array, ambient: float) -> Array:
+    """Take a constant out of the signals: Basri and Jacobs' harmonics of the first order, ``I_k = rho (a + n . d_k)``.
+
+    For detectors of one elevation the constant cannot be told from the upright part of the normal pixel by pixel, but
+    the normal is of length one: if the fit without it makes the angle phi, the true one is ``phi + asin(c sin(phi))``.
+
+    Parameters
+    ----------
+    vector
+        Of `fit_normals`, (rows, columns, 3).
+    ambient
+        c, the constant as a share of the rest of the signal at a level place.
+
+    Returns
+    -------
+    The same with normals leaning farther, (rows, columns, 3); NaN where the angle would pass 90 degrees.
+    """
+    length = np.linalg.norm(vector, axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        level = np.hypot(vector[..., 0], vector[..., 1])
+        sine = level / length
+        added = np.arcsin(np.clip(ambient * sine, -1, 1))
+        angle = np.arctan2(level, vector[..., 2]) + added
+        turn = np.where(level > 0, np.sin(angle) / np.maximum(level, 1e-300), 0.0)
+        upright = np.where((angle < np.pi / 2) & (ambient * sine < 1), np.cos(angle), np.nan)
+    yield_ = np.where(level > 0, level / np.maximum(np.sin(angle), 1e-300), vector[..., 2] / (1 + ambient))
+    leaning = np.stack([turn * vector[..., 0], turn * vector[..., 1], upright], axis=-1)
+    return np.asarray(leaning * yield_[..., None])
