@@ -1,29 +1,25 @@
-"""Accuracy regressions: what the study measures on small scenes stays where it was committed."""
+"""The seed's study under guard: what it measures on small scenes stays where it was committed."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
 
-from benchmarks.regression import guarded_scenes, measured, read_baselines, shifts
-
-
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("cache")
+from benchmarks.gate.commitment import means_of, read_commitment, report, shifts
+from benchmarks.gate.project import ACCURACY, RENEW
+from benchmarks.gate.study import study_figures, study_scenes
 
 
+@pytest.mark.benchmark(group="the seed's study")
 @pytest.mark.parametrize("number", [0, 1], ids=["pollen", "diatom"])
-def test_accuracy_is_where_it_was(number: int, cache: Path) -> None:
-    source = guarded_scenes(cache)[number]
-    moved = shifts(source.name, measured(source), read_baselines())
-    assert not moved, "\n".join(str(each) for each in moved)
-
-
-def test_a_shift_is_seen() -> None:
-    known = {"scene": {"proposed": {"rmse_um": {"mean": 1.0, "tolerance": 0.1}}}}
-    for value, seen in ((1.05, False), (0.85, True), (1.2, True), (float("nan"), True)):
-        now = {"proposed": {"rmse_um": {"mean": value, "tolerance": 0.1}}}
-        assert bool(shifts("scene", now, known)) == seen
-    assert "rmse_um was 1 and is nan" in str(shifts("scene", {}, known)[0])
+def test_study(benchmark: BenchmarkFixture, number: int, cache: Path) -> None:
+    part, source = read_commitment(ACCURACY)["study"], study_scenes(cache)[number]
+    source.prepare()
+    figures = benchmark.pedantic(study_figures, args=(source, part.repetitions), rounds=1)  # type: ignore[no-untyped-call]
+    now = means_of(figures)
+    benchmark.extra_info |= now
+    moved = shifts(source.name, now, part)
+    if moved:
+        pytest.fail(report(moved, RENEW), pytrace=False)

@@ -20,7 +20,8 @@ from semrecon.clouds.icp import icp
 from semrecon.clouds.open3d_icp import icp_open3d
 from semrecon.data import Optics, PointCloud, Tracks
 from semrecon.geometry import project, rotations_from_tilts, tilt_rotation
-from semrecon.points.translation import solve_closed_form, solve_generalised_inverse
+from semrecon.judging.metrics import relative_rotation_error_deg
+from semrecon.points.translation import PairTranslation, solve_closed_form, solve_generalised_inverse
 from semsim.capture import simulate
 from semsim.charging import ChargingOptions
 from semsim.detector import DetectorOptions
@@ -38,9 +39,16 @@ from semsim.zbuffer import rasterise
 STEP = tilt_rotation(3.0)
 
 
-def exact_matches(n: int) -> tuple[NDArray[Any], NDArray[Any]]:
+def exact_matches(n: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Matches in both views, and the depths to be found."""
     xyz = np.random.default_rng(0).uniform(-60, 60, (n, 3))
-    return xyz[:, :2], (xyz @ STEP.T)[:, :2]
+    return xyz[:, :2], (xyz @ STEP.T)[:, :2], xyz[:, 2]
+
+
+def largest_depth_error_um(solved: PairTranslation, depth_um: NDArray[Any]) -> float:
+    """Largest error of the depths beside their common offset."""
+    error = solved.depth_um - depth_um
+    return float(np.abs(error - np.median(error)).max())
 
 
 @pytest.mark.benchmark(group="translation of 400 matches, Eqs. 4 and 5")
@@ -48,14 +56,18 @@ def exact_matches(n: int) -> tuple[NDArray[Any], NDArray[Any]]:
     "solve", [solve_generalised_inverse, solve_closed_form], ids=["generalised inverse", "closed form"]
 )
 def test_translation(benchmark: BenchmarkFixture, solve: Callable[..., Any]) -> None:
-    solved = benchmark.pedantic(solve, args=(*exact_matches(400), STEP), rounds=3)  # type: ignore[no-untyped-call]
-    assert solved.rank == 401
+    first, second, depth = exact_matches(400)
+    solved = benchmark.pedantic(solve, args=(first, second, STEP), rounds=3)  # type: ignore[no-untyped-call]
+    benchmark.extra_info["largest_depth_error_um"] = largest_depth_error_um(solved, depth)
+    assert benchmark.extra_info["largest_depth_error_um"] < 1e-8
 
 
 @pytest.mark.benchmark(group="translation of a million matches")
 def test_translation_of_a_million(benchmark: BenchmarkFixture) -> None:
-    solved = benchmark.pedantic(solve_closed_form, args=(*exact_matches(1_000_000), STEP), rounds=3)  # type: ignore[no-untyped-call]
-    assert solved.rank == 1_000_001
+    first, second, depth = exact_matches(1_000_000)
+    solved = benchmark.pedantic(solve_closed_form, args=(first, second, STEP), rounds=3)  # type: ignore[no-untyped-call]
+    benchmark.extra_info["largest_depth_error_um"] = largest_depth_error_um(solved, depth)
+    assert benchmark.extra_info["largest_depth_error_um"] < 1e-8
 
 
 @pytest.mark.benchmark(group="point-to-point ICP of 5000 points, 3 degrees")
@@ -67,25 +79,35 @@ def test_icp(benchmark: BenchmarkFixture, register: Callable[..., Any]) -> None:
     fixed = np.column_stack([xy, z])
     clouds = [PointCloud(each, np.zeros((5000, 3, 3)), z, xy) for each in (fixed @ STEP.T, fixed)]
     found = benchmark.pedantic(register, args=clouds, rounds=2)  # type: ignore[no-untyped-call]
+    benchmark.extra_info |= {"rre_deg": relative_rotation_error_deg(STEP.T, found.rotation), "rmse_um": found.rmse_um}
     assert np.linalg.norm(found.rotation - STEP.T) < 0.1
 
 
-def tilted_tracks(points: int, views: int) -> tuple[Tracks, NDArray[Any], Optics]:
-    """Sightings at 0.3 px of a relief under tilts from -30 to 30 degrees that the stage states to 0.1 degree."""
+def tilted_tracks(points: int, views: int) -> tuple[Tracks, NDArray[Any], Optics, NDArray[Any]]:
+    """Sightings at 0.3 px of a relief under tilts from -30 to 30 degrees that the stage states to 0.1 degree.
+
+    Returns
+    -------
+    What `refine` takes, and the true tilts.
+    """
     rng, optics, stated = np.random.default_rng(0), Optics(0.147, 854, 640), np.linspace(-30.0, 30.0, views)
     xyz = rng.uniform(-1, 1, (points, 3)) * [55.0, 42.0, 20.0]
     xy = np.empty((points, views, 2))
-    for view, rotation in enumerate(rotations_from_tilts(stated + rng.normal(0, 0.1, views))):
+    true = stated + rng.normal(0, 0.1, views)
+    for view, rotation in enumerate(rotations_from_tilts(true)):
         xy[:, view] = project(xyz, rotation, np.append(rng.uniform(-5, 5, 2), 0.0), optics)
-    return Tracks(xy + rng.normal(0, 0.3, xy.shape)), stated, optics
+    return Tracks(xy + rng.normal(0, 0.3, xy.shape)), stated, optics, true
 
 
 @pytest.mark.benchmark(group="bundle adjustment: points, tilts, axis, magnifications, rotations and shifts of 40 views")
 @pytest.mark.parametrize("points", [4_000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_bundle_adjustment(benchmark: BenchmarkFixture, points: int) -> None:
     """`-m slow` takes the size that matters; the highest that the process ever took stands beside it."""
-    refined = benchmark.pedantic(refine, args=tilted_tracks(points, 40), rounds=1)  # type: ignore[no-untyped-call]
+    *arguments, true = tilted_tracks(points, 40)
+    refined = benchmark.pedantic(refine, args=arguments, rounds=1)  # type: ignore[no-untyped-call]
     benchmark.extra_info["peak_gib"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 3)
+    steps = np.diff(refined.tilts_deg) - np.diff(true)
+    benchmark.extra_info |= {"sigma_px": refined.sigma_px, "tilt_step_rms_deg": float(np.sqrt(np.mean(steps**2)))}
     assert refined.converged
     assert abs(refined.sigma_px - 0.3) < 0.01
 
@@ -124,10 +146,19 @@ def half_is_hit(miss: NDArray[Any]) -> bool:
     return bool(abs((1 - miss.mean()) - np.pi * 45.0**2 / frame) < 1e-3)
 
 
+def ball_error_um(depth: NDArray[Any]) -> float:
+    """Root mean square error of depths of the ball but for its rim, beside their common offset."""
+    x, y = np.moveaxis((pixel_grid(SHARP) - SHARP.centre_px) * SHARP.pixel_size_um, -1, 0)
+    square = 45.0**2 - x**2 - y**2
+    error = (depth + np.sqrt(np.maximum(square, 0.0)))[square > 20.0**2]
+    return float(np.std(error - np.median(error)))
+
+
 @pytest.mark.benchmark(group="surface buffer of 328 k faces at 2560 x 1920: depth, triangle, position and normal")
 @pytest.mark.parametrize("backend", ["zbuffer", "raycast", "pyrender"])
 def test_surface_buffer(benchmark: BenchmarkFixture, ball: Mesh, backend: Backend) -> None:
     buffer = benchmark.pedantic(surface_buffer, args=(ball, SHARP, TILTED, backend), rounds=3, warmup_rounds=1)  # type: ignore[no-untyped-call]
+    benchmark.extra_info["depth_rms_um"] = ball_error_um(buffer.depth_um)
     assert half_is_hit(buffer.miss)
 
 
@@ -137,6 +168,7 @@ def test_search_for_the_first_surface(benchmark: BenchmarkFixture, ball: Mesh, p
     """What each peer takes by itself, its input made ready: depth and triangle; pyrender has depth only."""
     search = {"zbuffer": drawn_by_us, "Open3D": cast_by_open3d, "pyrender": drawn_by_pyrender}[peer](ball)
     depth = benchmark.pedantic(search, rounds=5, warmup_rounds=1)  # type: ignore[no-untyped-call]
+    benchmark.extra_info["depth_rms_um"] = ball_error_um(depth)
     assert half_is_hit(~np.isfinite(depth))
 
 
@@ -183,7 +215,8 @@ def on_the_grid(mesh: Mesh, microscope: Microscope) -> Scene:
 @pytest.mark.parametrize("scene", [on_the_grid, everything_on], ids=["steady beam", "scan errors"])
 def test_micrograph(benchmark: BenchmarkFixture, ball: Mesh, scene: Callable[..., Scene]) -> None:
     captured = benchmark.pedantic(simulate, args=(scene(ball, USUAL), 0), rounds=3, warmup_rounds=1)  # type: ignore[no-untyped-call]
-    assert np.ptp(captured.images[0]) > 100
+    benchmark.extra_info["grey_levels"] = int(np.ptp(captured.images[0]))
+    assert benchmark.extra_info["grey_levels"] > 100
 
 
 MEASURED_ALONE = """
