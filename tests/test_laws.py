@@ -45,7 +45,7 @@ ONLY_IN = {
         "benchmarks/sweeping/sweep_figures.py",
     },
     "plotly": {"benchmarks/reporting/report_figures.py"},
-    "rerun": {"semrecon/output/recording.py", "benchmarks/seed_study/record.py"},
+    "rerun": {"semrecon/output/recording.py", "benchmarks/recording/rerun_file.py"},
     "typer": COMMAND_LINES,
     "rich": COMMAND_LINES,
 }

@@ -6,6 +6,7 @@ import csv
 import json
 import re
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -17,11 +18,12 @@ from typer.testing import CliRunner
 import benchmarks.reporting.report
 from benchmarks.__main__ import app
 from benchmarks.reporting.report import content, rendered
-from benchmarks.reporting.report_figures import ERRORS, HEIGHTS, MISSING, coloured, error_curves
+from benchmarks.reporting.report_figures import BOUND, ERRORS, HEIGHTS, MISSING, coloured, error_curves
 from benchmarks.reporting.report_scenes import ABSENT, CHANGED, drawn_answer, truth_of
 from benchmarks.reporting.report_sweeps import sweep_section
 from benchmarks.running.bench import LEDGER, Plan
 from benchmarks.running.bench_ledger import BenchLedger
+from benchmarks.running.bounds import add_bounds
 from benchmarks.running.case import Answer, Case, Outcome, judge_version, score
 from benchmarks.running.cell import Limits
 from benchmarks.running.manifest import MANIFEST, manifest_of, read_manifest, write_manifest
@@ -37,6 +39,12 @@ from tests import chromium
 
 HOSTILE = '</script><script>document.title = "taken"</script><img src=x onerror="document.title=1"> & "quoted"'
 LIMITS = Limits(5.0, 1.0)
+LEGEND_IS_CLEAR = """plot => {
+  const box = what => plot.querySelector(what)?.getBoundingClientRect();
+  const names = box('.legend'), title = box('.xtitle'), whole = box('.main-svg');
+  return !names || ((!title || names.top >= title.bottom || names.left >= title.right) && names.bottom <= whole.bottom);
+}"""
+"""Names of curves lie over no title, and all of them within the plot."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +113,8 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ran]:
     for case in plan.cases[:-1]:
         answer = answer_to(case)
         ledger.record(Outcome(case, answer, judge_version(), score(case, answer)), LIMITS)
+    with ThreadPoolExecutor(1) as executor:
+        add_bounds(plan, ledger, executor, quiet)
     write_manifest(folder, manifest_of(plan, quick=True, purpose="reporting"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(benchmarks.reporting.report, "suite", lambda *_args, **_more: (scene,))
@@ -214,6 +224,25 @@ def test_the_map_shows_the_error_of_the_table(ran: Ran, name: str) -> None:
     assert len(shown) / truth.judged.sum() == pytest.approx(result.metrics["completeness"])
     near = np.abs(drawn.heights_um - truth.z_um)[truth.judged]
     assert np.nanmedian(near) == pytest.approx(result.metrics["median_um"], rel=0.3)  # the gauge is gone from heights
+
+
+def test_the_limit_stands_in_every_plot(ran: Ran) -> None:
+    found = content(ran.folder, [], quiet)
+    limit = BenchLedger(ran.folder / LEDGER).limit(ran.scene.identity)
+    assert limit is not None
+    section = next(each for each in found.sections if each.name == "grain")
+    assert section.limit_map is not None
+    assert section.curves is not None
+    curve = next(each for each in section.curves["data"] if each["name"] == BOUND)
+    assert np.interp(0.5, curve["y"], curve["x"]) == pytest.approx(limit.median_abs_um, rel=0.05)
+    assert found.distances is not None
+    line, *methods = found.distances["data"]
+    assert (line["name"], line["y"]) == (BOUND, [1.0, 1.0])
+    by_place = {(each.method, each.scene): each for each in found.entries}
+    shown = {each["name"]: each["y"][0] for each in methods}
+    assert shown["wavy_one"] == pytest.approx(by_place["wavy_one", "grain"].values["efficiency"], rel=1e-3)
+    assert shown["fails"] is None
+    assert "Gaussian window of 3 px" in Reader(rendered(found)).text
 
 
 def test_pictures_are_left_out_where_they_would_not_be_those_of_the_run(
@@ -331,6 +360,10 @@ def column(browser: chromium.Chromium, table: str, number: int) -> list[str]:
     return list(browser.ask(f"{rows}.map(row => row.cells[{number}].textContent.trim())"))
 
 
+def number(text: str) -> float:
+    return float("nan") if text == "–" else float(text)
+
+
 def click(browser: chromium.Chromium, what: str) -> None:
     browser.ask(f"document.querySelector({json.dumps(what)}).click()")
 
@@ -351,9 +384,10 @@ def test_a_browser_shows_all_without_complaint_or_overflow(
     for number in range(browser.ask("document.querySelectorAll('.plot').length")):
         browser.ask(f"document.querySelectorAll('.plot')[{number}].scrollIntoView({{behavior: 'instant'}})")
         browser.wait(f"document.querySelectorAll('.plot')[{number}].querySelector('.main-svg') !== null")
+    assert browser.ask(f"[...document.querySelectorAll('.plot')].every({LEGEND_IS_CLEAR})")
     browser.wait("[...document.images].every(each => { each.loading = 'eager'; return each.complete; })")
     assert browser.ask("[...document.images].every(each => each.naturalWidth > 0)")
-    assert browser.ask("document.images.length") == 2 + 2 * 3
+    assert browser.ask("document.images.length") == 3 + 2 * 3
     assert browser.ask("document.documentElement.scrollWidth") <= width
     assert browser.ask("document.title") == "SEM reconstruction bench"
     assert browser.complaints == []
@@ -361,18 +395,18 @@ def test_a_browser_shows_all_without_complaint_or_overflow(
 
 
 def test_a_click_sorts_and_another_turns_the_order(wide: chromium.Chromium) -> None:
-    heading = "#entries thead th:nth-child(6) button"
+    heading = "#entries thead th:nth-child(3) button"
     click(wide, heading)
-    rising = column(wide, "entries", 5)
+    rising = column(wide, "entries", 2)
     known = [float(each) for each in rising if each != "–"]
     assert len(known) == 4
     assert known == sorted(known)
     assert rising[len(known) :] == ["–"] * 3
     click(wide, heading)
-    falling = column(wide, "entries", 5)
+    falling = column(wide, "entries", 2)
     assert [float(each) for each in falling[: len(known)]] == known[::-1]
     assert falling[len(known) :] == ["–"] * 3  # no number is last both ways
-    assert wide.ask("document.querySelector('#entries th:nth-child(6)').ariaSort") == "descending"
+    assert wide.ask("document.querySelector('#entries th:nth-child(3)').ariaSort") == "descending"
     click(wide, "#entries thead th:nth-child(1) button")
     names = column(wide, "entries", 0)
     assert names == sorted(names)
@@ -395,14 +429,19 @@ def test_filters_leave_what_was_asked_for(wide: chromium.Chromium) -> None:
 
 def test_the_overview_shows_the_metric_that_is_chosen(wide: chromium.Chromium) -> None:
     choose(wide, "#metric", "completeness")
-    shown = dict(zip(column(wide, "overview", 0), column(wide, "overview", 2), strict=True))
+    shown = dict(zip(column(wide, "overview", 0), column(wide, "overview", 1), strict=True))
     assert shown["wavy_one"] == "1"
     assert 0.3 < float(shown["half_done"]) < 0.7
     assert shown["fails"] == "–"
     best = "[...document.querySelectorAll('#overview .best')].map(cell => cell.parentElement.dataset.method)"
     assert set(wide.ask(best)) == {"wavy_one"}  # never the oracle
-    click(wide, "#overview thead th:nth-child(3) button")
-    assert column(wide, "overview", 0)[0] == "fails" or column(wide, "overview", 2)[-1] == "–"
+    click(wide, "#overview thead th:nth-child(2) button")
+    assert column(wide, "overview", 1)[-1] == "–"
+    choose(wide, "#metric", "efficiency")
+    found = zip(column(wide, "overview", 0), column(wide, "overview", 1), strict=True)
+    ratios = {name: number(text) for name, text in found}
+    assert ratios["wavy_one"] == pytest.approx(4 * ratios["oracle_level †"], rel=0.02)  # over the same pixels
+    assert np.isnan(ratios["fails"])
 
 
 def test_a_drag_zooms_a_plot(wide: chromium.Chromium) -> None:

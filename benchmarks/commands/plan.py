@@ -8,14 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from benchmarks.commands.command_line import command_line
 from benchmarks.commands.sweep import _numbers
 from benchmarks.console import one_sentence, progress, said_when_interrupted, workers_at
 
 if TYPE_CHECKING:
+    from benchmarks.running.manifest import Manifest
     from benchmarks.sweeping.planner import Choices, Planned
 
 
 def plan(
+    context: typer.Context,
     target_um: Annotated[float, typer.Option(help="Wanted median absolute depth error, um.")],
     scene: Annotated[
         str, typer.Option(help="What resembles your specimen: a scene of the suite, any named scene, or a TOML file.")
@@ -41,7 +44,8 @@ def plan(
         from benchmarks.running.bench import LEDGER, alone, check_out, contenders
         from benchmarks.running.bench_ledger import BenchLedger
         from benchmarks.running.cell import Limits
-        from benchmarks.sweeping.planner import Task, make_plan
+        from benchmarks.running.manifest import PLAN_MANIFEST, write_manifest
+        from benchmarks.sweeping.planner import Task, make_plan, task_manifest
         from benchmarks.sweeping.sweeps import base_scene
         from semrecon.errors import InputError
 
@@ -59,8 +63,10 @@ def plan(
             base, development, picked, target_um, _choices(ranges, views, doses), seeds, checks, window_px, limits
         )
         with alone(out), workers_at(workers, scheduler) as executor, said_when_interrupted(out), progress() as report:
+            made_by = task_manifest(task, command_line(context))
+            write_manifest(out, made_by, PLAN_MANIFEST)
             planned = make_plan(task, BenchLedger(out / LEDGER), executor, report)
-        _show(planned, base.name, out)
+        _show(planned, base.name, out, made_by)
 
 
 def _choices(ranges: str, views: str, doses: str) -> Choices:
@@ -74,17 +80,19 @@ def _choices(ranges: str, views: str, doses: str) -> Choices:
     )
 
 
-def _show(planned: Planned, scene: str, out: Path) -> None:
+def _show(planned: Planned, scene: str, out: Path, made_by: Manifest) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from benchmarks.running.manifest import origin
     from benchmarks.sweeping.planner import write_plan_csv
     from benchmarks.sweeping.planner_page import plan_markdown, plan_rows, verdict
     from benchmarks.sweeping.sweep_figures import draw_plan
 
     draw_plan(out / "plan.png", planned.candidates, planned.target_um, f"{planned.method} on {scene}, by the model")
     write_plan_csv(out / "plan.csv", planned)
-    (out / "plan.md").write_text(plan_markdown(planned, scene, "plan.png"), encoding="utf-8")
+    page = [plan_markdown(planned, scene, "plan.png"), *origin(made_by)]
+    (out / "plan.md").write_text("\n".join(page), encoding="utf-8")
     head, rows = plan_rows(planned)
     table = Table(*head, title=f"ways to {planned.target_um:g} um, cheapest first")
     for row in rows:

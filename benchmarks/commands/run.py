@@ -8,14 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from benchmarks.commands.command_line import command_line
 from benchmarks.console import one_sentence, progress, said_when_interrupted, split_names, workers_at
 
 if TYPE_CHECKING:
     from benchmarks.running.bench import Plan
-    from benchmarks.running.bench_ledger import Result
+    from benchmarks.running.bench_ledger import BenchLedger, Result
+    from benchmarks.running.manifest import Manifest
 
 
 def run(
+    context: typer.Context,
     methods: Annotated[str, typer.Option(help="Names with commas between; all by default.")] = "",
     scenes: Annotated[str, typer.Option(help="Names with commas between; all by default.")] = "",
     seeds: Annotated[int | None, typer.Option(min=1, help="Repetitions; 2, or 1 with --quick.")] = None,
@@ -35,6 +38,7 @@ def run(
     with one_sentence():
         from benchmarks.running.bench import LEDGER, Plan, alone, check_out, contenders, measure
         from benchmarks.running.bench_ledger import BenchLedger
+        from benchmarks.running.bounds import add_bounds
         from benchmarks.running.cell import Limits
         from benchmarks.running.manifest import manifest_of, write_manifest
         from benchmarks.suite import Purpose, chosen, suite
@@ -46,26 +50,40 @@ def run(
         picked = chosen(every, split_names(scenes))
         plan = Plan(picked, contenders(split_names(methods)), repetitions, Limits(timeout, memory_gib))
         with alone(out), workers_at(workers, scheduler) as executor, said_when_interrupted(out), progress() as report:
-            write_manifest(out, manifest_of(plan, quick=quick, purpose=purpose))
-            results = measure(plan, BenchLedger(out / LEDGER), executor, report)
-        _show(plan, results, out)
+            made_by = manifest_of(plan, quick=quick, purpose=purpose, command=command_line(context))
+            write_manifest(out, made_by)
+            ledger = BenchLedger(out / LEDGER)
+            measure(plan, ledger, executor, report)
+            results = add_bounds(plan, ledger, executor, report)
+        _show(plan, results, ledger, made_by, out)
 
 
-def _show(plan: Plan, results: list[Result], out: Path) -> None:
+def _show(plan: Plan, results: list[Result], ledger: BenchLedger, made_by: Manifest, out: Path) -> None:
     """Write tables and print the one over all scenes."""
     from rich.console import Console
     from rich.table import Table
 
-    from benchmarks.reporting.leaderboard import entries, markdown, notes, rows_over_scenes, write_table_csv
+    from benchmarks.reporting.leaderboard import (
+        entries,
+        limit_notes,
+        markdown,
+        notes,
+        rows_over_scenes,
+        write_table_csv,
+    )
+    from benchmarks.running.bounds import reasons
     from benchmarks.running.case import is_oracle
     from benchmarks.running.export import write_csv, write_parquet
+    from benchmarks.running.manifest import origin
     from benchmarks.suite import described
     from semrecon.errors import InputError
 
     every = entries(results, plan.methods)
-    said = notes(results, any(is_oracle(method) for method in plan.methods))
+    unlimited = reasons([(scene.name, scene.identity) for scene in plan.scenes], ledger)
+    said = [*notes(results, any(is_oracle(method) for method in plan.methods)), *limit_notes(unlimited)]
     about = {scene.name: described(scene) for scene in plan.scenes}
-    (out / "leaderboard.md").write_text(markdown(every, about, said), encoding="utf-8")
+    page = [markdown(every, about, said), *origin(made_by)]
+    (out / "leaderboard.md").write_text("\n".join(page), encoding="utf-8")
     write_table_csv(out / "leaderboard.csv", every)
     write_csv(out / "results.csv", results)
     try:

@@ -8,16 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from benchmarks.commands.command_line import command_line
 from benchmarks.console import one_sentence, progress, said_when_interrupted, split_names, workers_at
 
 if TYPE_CHECKING:
+    from benchmarks.running.manifest import Manifest
     from benchmarks.sweeping.sweep_axes import Axis
     from benchmarks.sweeping.sweeps import Swept
 
-DEFAULT_METHODS = "known_rotation,disparity"
+DEFAULT_METHODS = "known_rotation,dense_multiview"
 
 
 def sweep(
+    context: typer.Context,
     axes: Annotated[
         list[str],
         typer.Argument(
@@ -48,32 +51,36 @@ def sweep(
         from benchmarks.running.bench import LEDGER, alone, check_out, contenders
         from benchmarks.running.bench_ledger import BenchLedger
         from benchmarks.running.cell import Limits
-        from benchmarks.sweeping.sweeps import Sweep, TheoryOptions, base_scene, run_sweep
+        from benchmarks.running.manifest import SWEEP_MANIFEST, manifest_of, write_manifest
+        from benchmarks.suite import Purpose
+        from benchmarks.sweeping.sweeps import Sweep, TheoryOptions, base_scene, run_sweep, sweep_settings
 
         asked = _asked(axes, values or [])
         swept_axes: tuple[Axis, ...] = asked["axes"]
         folder = out or Path("results") / f"sweep-{'-'.join(axis.name for axis in swept_axes)}"
         check_out(folder)
         picked = contenders(split_names(methods) or asked.get("methods", split_names(DEFAULT_METHODS)))
-        base = base_scene(
-            scene or asked.get("scene", "fracture_rough"),
-            folder / "cache",
-            columns=columns or asked.get("columns", 427),
-            purpose="development" if development else "reporting",
-            channels=any("channels" in method.needs for method in picked),
-        )
+        purpose: Purpose = "development" if development else "reporting"
+        name, width = scene or asked.get("scene", "fracture_rough"), columns or asked.get("columns", 427)
+        channels = any("channels" in method.needs for method in picked)
+        base = base_scene(name, folder / "cache", columns=width, purpose=purpose, channels=channels)
         theory = TheoryOptions(matching_noise_px, window_px)
         repetitions = seeds or asked.get("repetitions", 3)
         planned = Sweep(base, swept_axes, picked, repetitions, theory, Limits(timeout, memory_gib))
-        planned.points  # noqa: B018 - a value that a scene cannot take is said before anything is rendered
+        settings = sweep_settings(planned, name, columns=width, channels=channels)
+        # the points are made here: a value that a scene cannot take is said before anything is rendered
+        made_by = manifest_of(
+            planned.plan, quick=False, purpose=purpose, command=command_line(context), settings=settings
+        )
         with (
             alone(folder),
             workers_at(workers, scheduler) as executor,
             said_when_interrupted(folder),
             progress() as bar,
         ):
+            write_manifest(folder, made_by, SWEEP_MANIFEST)
             found = run_sweep(planned, BenchLedger(folder / LEDGER), executor, bar)
-        _show(found, folder)
+        _show(found, folder, made_by)
 
 
 def _asked(axes: list[str], values: list[str]) -> dict[str, Any]:
@@ -103,18 +110,20 @@ def _numbers(text: str) -> list[float]:
         raise InputError(f"--values {text!r} is not a list of numbers; write them as 1,2,4") from None
 
 
-def _show(swept: Swept, out: Path) -> None:
+def _show(swept: Swept, out: Path, made_by: Manifest) -> None:
     """Write figure, table and page, and print the table."""
     from rich.console import Console
     from rich.table import Table
 
+    from benchmarks.running.manifest import origin
     from benchmarks.sweeping.sweep_figures import draw_sweep
     from benchmarks.sweeping.sweep_summary import summary_rows, sweep_markdown, write_sweep_csv
 
     for ending in ("svg", "png"):
         draw_sweep(out / f"sweep.{ending}", swept)
     write_sweep_csv(out / "sweep.csv", swept)
-    (out / "sweep.md").write_text(sweep_markdown(swept, "sweep.svg"), encoding="utf-8")
+    page = [sweep_markdown(swept, "sweep.svg"), *origin(made_by)]
+    (out / "sweep.md").write_text("\n".join(page), encoding="utf-8")
     head, rows = summary_rows(swept)
     table = Table(*head, title="median absolute depth error, um")
     for row in rows:

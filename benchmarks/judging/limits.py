@@ -124,9 +124,8 @@ def bound_summary(
 
 def summary_of(seen: Sequence[Parallax], options: LimitOptions) -> BoundSummary:
     """Sum up the limit of views whose parallax is known, over the pixels that all of them see."""
-    sigma_um = windowed_sigma_um(depth_information(seen, options), options.window_px)
-    common = np.logical_and.reduce([each.electrons > 0 for each in seen])
-    counted = sigma_um[common & np.isfinite(sigma_um)]
+    sigma_um = common_sigma_um(seen, options)
+    counted = sigma_um[np.isfinite(sigma_um)]
     if not counted.size:
         return BoundSummary(np.nan, np.nan, np.nan, 0.0)
     return BoundSummary(
@@ -135,6 +134,13 @@ def summary_of(seen: Sequence[Parallax], options: LimitOptions) -> BoundSummary:
         float(np.sqrt(np.mean(counted**2))),
         counted.size / sigma_um.size,
     )
+
+
+def common_sigma_um(seen: Sequence[Parallax], options: LimitOptions) -> Array:
+    """Least standard deviation of height at the pixels that all views see, um, (rows, columns); NaN elsewhere."""
+    sigma_um = windowed_sigma_um(depth_information(seen, options), options.window_px)
+    common = np.logical_and.reduce([each.electrons > 0 for each in seen])
+    return np.where(common, sigma_um, np.nan)
 
 
 def median_abs_of_normals(sigmas: Array, share: float = 0.5) -> float:

@@ -198,6 +198,5 @@ def _check(record: Record, result: Result, found: ErrorMap) -> None:
         if np.isfinite(scored) and abs(number - scored) > AGREE * max(abs(scored), 1e-3):
             raise InputError(
                 f"{name} of {result.method} on {result.scene} is {number:.6g} by the code of today and {scored:.6g} on "
-                f"record: simulator or judge have changed; bring the run up to date with: python -m benchmarks run "
-                f"--out {record.run}"
+                f"record: simulator or judge have changed; repeat the command that made {record.run}"
             )

@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.judging.limits import LimitOptions
 from benchmarks.running.bench_ledger import Result
 from benchmarks.running.case import contender_of, is_oracle, needs_of
 
 HEADINGS = {
     "median_um": "median (um)",
+    "efficiency": "efficiency",
     "rms_um": "rms (um)",
     "common_median_um": "median, common gauge (um)",
     "completeness": "completeness",
@@ -24,6 +26,15 @@ HEADINGS = {
     "peak_mib": "memory (MiB)",
 }
 """Numbers of the table of a scene; each is the mean over the repetitions that were answered."""
+LEGEND = (
+    "Efficiency is the median error over the least one that the light allows (Cramér-Rao bound) at the pixels which "
+    "the method answered: 1 is the limit, 10 is ten times as bad. The bound is from dose, spot and texture through the "
+    f"geometry, for unbiased heights, each one number in a Gaussian window of {LimitOptions().window_px:g} px "
+    "(standard deviation), with known poses and nothing known of the texture. So below 1 is no mistake where a method "
+    "smooths over more than that window, or draws on shading or on further detectors, of which the bound knows "
+    "nothing; nor where an oracle is handed what the light does not tell."
+)
+"""What an efficiency is, and what it is not."""
 MARK = "†"
 """Behind the name of an oracle, which is handed part of the truth."""
 
@@ -106,6 +117,7 @@ def markdown(every: Sequence[Entry], about: Mapping[str, str], notes: Sequence[s
     parts = ["# Leaderboard", *notes]
     for metric, title in (
         ("median_um", "Median absolute depth error, um, after each method's declared gauge"),
+        ("efficiency", "Efficiency: that error over the physical limit"),
         ("common_median_um", "The same after a gauge common to all: offset, plane, scale and sign of the heights"),
         ("completeness", "Completeness over what all views see"),
         ("fscore_1px", "F-score at a tolerance of 1 pixel"),
@@ -130,6 +142,11 @@ def notes(results: Sequence[Result], marked: bool) -> list[str]:
         if marked
         else said
     )
+
+
+def limit_notes(unlimited: Mapping[str, str]) -> list[str]:
+    """Say what an efficiency is, and of each scene without a physical limit, by its name, why it has none."""
+    return [LEGEND, *(f"There is no efficiency on {scene}: {reason}." for scene, reason in unlimited.items())]
 
 
 def write_table_csv(path: Path, every: Sequence[Entry]) -> None:

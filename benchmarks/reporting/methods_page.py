@@ -8,8 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.reporting.error_maps import Record, Strip
-from benchmarks.reporting.leaderboard import MARK
+from benchmarks.reporting.leaderboard import MARK, limit_notes
 from benchmarks.running.bench_ledger import Result
+from benchmarks.running.bounds import reasons
 from benchmarks.running.case import is_oracle
 from benchmarks.running.manifest import MethodRecord
 from semrecon.errors import InputError
@@ -18,6 +19,7 @@ BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"
 ALONE = "The same after an offset alone, whatever else is declared: what a user would meet (first repetition)"
 TABLES = {
     "median_um": "Median absolute depth error, um, after the declared gauge is removed",
+    "efficiency": "Efficiency: that error over the least that the light allows where the method answered",
     "common_median_um": "The same after one gauge for all: offset, plane, scale and sign of the heights",
     "split_scale": "Scale of the heights as answered: 1 is right, 0.5 is relief of half its height",
     "completeness": "Completeness: share of what all views see that has a height",
@@ -43,7 +45,11 @@ def leaderboard(record: Record, drawn: Sequence[Strip]) -> str:
     """
     parts = [_origin(record), "### What each needs and costs", _needs(record)]
     for metric, title in TABLES.items():
+        if metric == "efficiency" and not any("efficiency" in each.metrics for each in record.results):
+            continue
         parts += [f"### {title}", _over_scenes(record, metric)]
+        if metric == "efficiency":
+            parts += [" ".join(limit_notes(reasons(_identities(record), record.ledger)))]
         if metric == "common_median_um":
             parts += [f"### {ALONE}", _offset_alone(drawn)]
     return "\n\n".join([*parts, "### Why there is no number", *_reasons(record)])
@@ -85,6 +91,10 @@ def _mean(results: Sequence[Result], scene: str, method: str, metric: str) -> fl
     """Mean over the repetitions that were answered; one without the number makes it NaN."""
     found = [each for each in results if (each.scene, each.method) == (scene, method) and not each.kind]
     return float(np.mean([each.metrics.get(metric, np.nan) for each in found])) if found else float("nan")
+
+
+def _identities(record: Record) -> list[tuple[str, str]]:
+    return [(each.name, each.identity) for each in record.manifest.scenes]
 
 
 def _offset_alone(drawn: Sequence[Strip]) -> str:

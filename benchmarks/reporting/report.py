@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.reporting.leaderboard import HEADINGS, Entry, entries, notes
-from benchmarks.reporting.report_figures import plotly_packed, said
+from benchmarks.reporting.leaderboard import HEADINGS, Entry, entries, limit_notes, notes
+from benchmarks.reporting.report_figures import Figure, distance_plot, plotly_packed, said
 from benchmarks.reporting.report_scenes import Section, name_of, section
 from benchmarks.reporting.report_sweeps import SweepSection, sweep_section
 from benchmarks.running.bench import LEDGER, Report
 from benchmarks.running.bench_ledger import BenchLedger, Result
+from benchmarks.running.bounds import reasons
 from benchmarks.running.manifest import Manifest, MethodRecord, commit, read_manifest
 from benchmarks.suite import BenchScene, suite
 from semrecon.errors import InputError
@@ -24,6 +25,7 @@ TEMPLATES = Path(__file__).resolve().parent / "templates"
 PAGE = "report.html"
 OVERVIEW = {
     "median_um": "median error (µm), declared gauge removed",
+    "efficiency": "efficiency: that error over the physical limit",
     "common_median_um": "median error (µm), common gauge removed",
     "rms_um": "rms error (µm), declared gauge removed",
     "completeness": "completeness",
@@ -59,10 +61,12 @@ class Content:
     manifest: Manifest
     entries: tuple[Entry, ...]
     notes: tuple[str, ...]
+    limits: tuple[str, ...]
     sections: tuple[Section, ...]
     failures: tuple[Failure, ...]
     sweeps: tuple[SweepSection, ...]
     unanswered: int
+    distances: Figure | None = None
 
 
 def write_report(run: Path, out: Path, sweeps: Sequence[Path], report: Report) -> int:
@@ -94,7 +98,9 @@ def content(run: Path, sweeps: Sequence[Path], report: Report) -> Content:
     reading = notes(results, any(each.given for each in manifest.methods))
     sections = tuple(_sections(run, manifest, every, results, ledger, report))
     lacking = len(manifest.cases) - len(results)
-    return Content(manifest, tuple(every), tuple(reading), sections, tuple(failures(results)), swept, lacking)
+    limits = tuple(limit_notes(reasons([(each.name, each.identity) for each in manifest.scenes], ledger)))
+    failed, far = tuple(failures(results)), distances(every, manifest)
+    return Content(manifest, tuple(every), tuple(reading), limits, sections, failed, swept, lacking, far)
 
 
 def failures(results: Sequence[Result]) -> Iterator[Failure]:
@@ -105,6 +111,18 @@ def failures(results: Sequence[Result]) -> Iterator[Failure]:
             what = (each.scene, each.method, KINDS.get(each.kind, each.kind), each.failure)
             counts[what] = counts.get(what, 0) + 1
     return (Failure(*what, count) for what, count in counts.items())
+
+
+def distances(every: Sequence[Entry], manifest: Manifest) -> Figure | None:
+    """Draw how far from the limit each method is on each scene; None where no limit is on record."""
+    if not any(np.isfinite(each.values["efficiency"]) for each in every):
+        return None
+    scenes = [each.name for each in manifest.scenes]
+    numbers = {each.name: number for number, each in enumerate(manifest.methods)}
+    by_place = {(each.method, each.scene): each.values["efficiency"] for each in every}
+    marked = sorted({each.method: numbers[name_of(each)] for each in every}.items(), key=lambda item: item[1])
+    found = {name: [by_place.get((name, scene), np.nan) for scene in scenes] for name, _ in marked}
+    return distance_plot(found, [words(scene) for scene in scenes], dict(marked))
 
 
 def rendered(found: Content) -> str:
@@ -123,6 +141,7 @@ def rendered(found: Content) -> str:
         "breakable": breakable,
     }
     figures = [each.curves for each in found.sections if each.curves]
+    figures += [found.distances] if found.distances else []
     figures += [figure for sweep in found.sweeps for _, figure in sweep.figures]
     return environment.get_template("report.html").render(
         found=found,

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.judging.efficiency import SceneLimit
 from semrecon.data import Array, Image, Mask
 from semrecon.output.glance import block_means, grey_range
 from semrecon.output.maps import round_length
@@ -28,8 +29,12 @@ MAP_PX, IMAGE_PX = 320, 640
 CURVES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a6d00", "#7f7f7f")
 """Colours of curves, told apart by the colour-blind (Okabe and Ito, the yellow darkened)."""
 DASHES = ("solid", "dash", "dot", "dashdot")
+SYMBOLS = ("circle", "diamond-open", "square", "cross")
+"""Of points, one for each of the dashes."""
 LEAST_UM = 1e-3
 """Smaller errors are drawn here: on an axis of ratios 0 is infinitely far."""
+BOUND = "Cramér-Rao bound"
+"""What the physical limit is called in plots."""
 SHARES = np.linspace(0.01, 1.0, 100)
 Figure = dict[str, Any]
 """`data` and `layout` of plotly."""
@@ -84,6 +89,16 @@ def error_panel(error_um: Array, judged: Mask, limit_um: float, pixel_size_um: f
     return _panel(shown, error_um.shape, pixel_size_um, alt, levels, ERRORS)
 
 
+def limit_panel(sigma_um: Array, pixel_size_um: float, alt: str) -> Panel:
+    """Show where the light says little of the height, red; what not all views see has no limit."""
+    low, high = (float(each) for each in np.nanpercentile(sigma_um, [2, 95]))
+    colours = ERRORS[len(ERRORS) // 2 :]
+    averaged = _averaged(sigma_um, MAP_PX)
+    shown = coloured(averaged, (low, high), colours)
+    shown[~np.isfinite(averaged)] = UNJUDGED
+    return _panel(shown, sigma_um.shape, pixel_size_um, alt, (low, high), colours)
+
+
 def coloured(values: Array, levels: tuple[float, float], colours: Sequence[str]) -> NDArray[np.uint8]:
     """Give each value its colour, linearly between those named: (..., 3) uint8; NaN is `MISSING`."""
     low, high = levels
@@ -95,7 +110,9 @@ def coloured(values: Array, levels: tuple[float, float], colours: Sequence[str])
     return answer
 
 
-def error_curves(errors_um: Mapping[str, Array], judged: int, places: Mapping[str, int]) -> Figure:
+def error_curves(
+    errors_um: Mapping[str, Array], judged: int, places: Mapping[str, int], limit: SceneLimit | None = None
+) -> Figure:
     """Draw the share of the judged surface whose error is within x: it ends at the completeness.
 
     Parameters
@@ -106,8 +123,10 @@ def error_curves(errors_um: Mapping[str, Array], judged: int, places: Mapping[st
         Number of heights that could have been measured.
     places
         Number of each method, which gives its colour: the same in all scenes.
+    limit
+        The physical limit, drawn in grey where there is one.
     """
-    data = []
+    data = [_limit_curve(limit)] if limit is not None and not limit.reason else []
     for name, errors in errors_um.items():
         colour, dash = _style(places[name])
         known = np.abs(errors[np.isfinite(errors)])
@@ -118,8 +137,38 @@ def error_curves(errors_um: Mapping[str, Array], judged: int, places: Mapping[st
         line = {"color": colour, "dash": dash, "width": 2}
         x = np.maximum(x[first:], LEAST_UM)
         data.append({"x": numbers(x), "y": numbers(y[first:]), "name": name, "mode": "lines", "line": line})
-    x_axis = {"title": {"text": "absolute depth error (µm)"}, "type": "log", "exponentformat": "none"}
-    return {"data": data, "layout": {"xaxis": x_axis, "yaxis": share_axis("share of the surface within that error")}}
+    x_axis = {"title": {"text": "depth error at most (µm)"}, "type": "log", "exponentformat": "none"}
+    return {"data": data, "layout": {"xaxis": x_axis, "yaxis": share_axis("share of the surface")}}
+
+
+def distance_plot(ratios: Mapping[str, Sequence[float]], scenes: Sequence[str], places: Mapping[str, int]) -> Figure:
+    """Draw the efficiency of each method on each scene, with a line at 1: the limit.
+
+    Parameters
+    ----------
+    ratios
+        Efficiencies by method, in the order of the scenes; NaN where there is none.
+    places
+        Number of each method, which gives its colour.
+    """
+    line = {"color": "#8c8c8c", "dash": "dash", "width": 3}
+    names = list(scenes)
+    data: list[dict[str, Any]] = [{"x": names, "y": [1.0] * len(names), "name": BOUND, "mode": "lines", "line": line}]
+    for name, values in ratios.items():
+        colour, dash = _style(places[name])
+        marker = {"color": colour, "size": 9, "symbol": SYMBOLS[DASHES.index(dash)]}
+        y = numbers(np.asarray(values, dtype=np.float64))
+        data.append({"x": names, "y": y, "name": name, "mode": "markers", "marker": marker})
+    y_axis = {"title": {"text": "error over limit"}, "type": "log", "exponentformat": "none"}
+    return {"data": data, "layout": {"xaxis": {"type": "category", "dtick": 1}, "yaxis": y_axis}}
+
+
+def _limit_curve(limit: SceneLimit) -> dict[str, Any]:
+    sigmas = limit.sigma_um[np.isfinite(limit.sigma_um)]
+    ends = np.quantile(sigmas, [0.05, 0.95])
+    x = np.geomspace(max(LEAST_UM, 0.05 * ends[0]), max(10 * LEAST_UM, 3 * ends[1]), 60)
+    curve = theory_curve(BOUND, "dash", x, limit.shares_within(x))
+    return {**curve, "line": {**curve["line"], "width": 3}}
 
 
 def share_axis(title: str) -> dict[str, Any]:

@@ -7,9 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.judging.efficiency import SceneLimit
 from benchmarks.judging.judge import filled, grid_um
 from benchmarks.reporting.leaderboard import MARK, Entry
-from benchmarks.reporting.report_figures import Figure, Panel, error_curves, error_panel, height_panel, micrograph
+from benchmarks.reporting.report_figures import (
+    Figure,
+    Panel,
+    error_curves,
+    error_panel,
+    height_panel,
+    limit_panel,
+    micrograph,
+)
 from benchmarks.running.bench_ledger import BenchLedger, Result
 from benchmarks.running.case import Case
 from benchmarks.running.manifest import MethodRecord, SceneRecord
@@ -52,6 +61,8 @@ class Section:
     image: Panel | None = None
     truth: Panel | None = None
     judged: float = float("nan")
+    limit: SceneLimit | None = None
+    limit_map: Panel | None = None
     curves: Figure | None = None
 
 
@@ -94,9 +105,10 @@ def section(
     entries, results
         Of this scene.
     """
-    plain = Section(record.name, record.about, tuple(Card(each) for each in entries))
+    limit = ledger.limit(record.identity)
     if scene is None or scene.identity != record.identity:
-        return Section(plain.name, plain.about, plain.cards, ABSENT if scene is None else CHANGED)
+        note = ABSENT if scene is None else CHANGED
+        return Section(record.name, record.about, tuple(Card(each) for each in entries), note, limit=limit)
     truth = truth_of(scene, 0)
     drawn = dict(_drawn(scene, results, methods, ledger))
     levels = tuple(float(level) for level in np.nanpercentile(truth.z_um, [0.5, 99.5]))
@@ -114,7 +126,9 @@ def section(
         micrograph(reference.image, size, f"Micrograph of {record.name} at {reference.tilt_deg:g} degrees"),
         height_panel(truth.z_um, (levels[0], levels[1]), size, f"True heights of {record.name}"),
         float(truth.judged.mean()),
-        error_curves(curves, int(truth.judged.sum()), places) if curves else None,
+        limit,
+        None if limit is None or limit.reason else limit_panel(limit.sigma_um, size, f"Limit of {record.name}"),
+        error_curves(curves, int(truth.judged.sum()), places, limit) if curves else None,
     )
 
 

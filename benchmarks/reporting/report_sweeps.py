@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reporting.report_figures import Figure, curve_with_band, numbers, share_axis, theory_curve
+from benchmarks.reporting.report_figures import BOUND, Figure, curve_with_band, numbers, share_axis, theory_curve
 from benchmarks.sweeping.sweep_axes import AXES, Axis
 from benchmarks.sweeping.sweep_summary import interval
 from semrecon.data import Array
@@ -83,7 +83,7 @@ def _curves(found: SweepRows) -> list[tuple[str, Figure]]:
     error = _means(found, x, "median_um")
     error += [
         theory_curve(said, dash, x, _theory(found, x, column))
-        for said, dash, column in (("Cramér-Rao bound", "dash", "bound_um"), ("predicted", "dot", "predicted_um"))
+        for said, dash, column in ((BOUND, "dash", "bound_um"), ("predicted", "dot", "predicted_um"))
     ]
     caption = "Mean over the repetitions; bars are 95 % bootstrap intervals of it. Grey: what theory expects."
     answer = [(caption, {"data": error, "layout": {"xaxis": across, "yaxis": {**ERROR, "type": "log"}}})]
@@ -112,7 +112,7 @@ def _maps(found: SweepRows) -> list[tuple[str, Figure]]:
     down, across = found.axes
     y, x = (found.values(name) for name in found.axes)
     places = [[{down: b, across: a} for a in x] for b in y]
-    every = {"Cramér-Rao bound": _grid(found, places, {}, "bound_um")}
+    every = {BOUND: _grid(found, places, {}, "bound_um")}
     every |= {method: _grid(found, places, {"method": method}, "median_um") for method in found.methods}
     known = np.concatenate([grid[np.isfinite(grid)] for grid in every.values()])
     ends = {"zmin": float(known.min()), "zmax": float(known.max())} if known.size else {}

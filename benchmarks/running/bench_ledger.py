@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,8 +11,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from benchmarks.judging.efficiency import SceneLimit
 from benchmarks.running.case import Answer, Case, Outcome
 from benchmarks.running.cell import Limits
+from semrecon.data import Array
 from semrecon.errors import InputError
 
 _SCHEMA = """
@@ -37,6 +42,18 @@ CREATE TABLE IF NOT EXISTS scores (
     metrics TEXT NOT NULL,
     PRIMARY KEY (key, judge)
 );
+CREATE TABLE IF NOT EXISTS limits (
+    identity TEXT PRIMARY KEY,
+    version TEXT NOT NULL,
+    window_px REAL NOT NULL,
+    reason TEXT NOT NULL,
+    sigma_um BLOB NOT NULL
+);
+CREATE TABLE IF NOT EXISTS bounds (
+    key TEXT PRIMARY KEY REFERENCES answers (key),
+    version TEXT NOT NULL,
+    bound_um REAL
+);
 """
 _SETTLED = """
 SELECT 1 FROM answers WHERE key = ?
@@ -50,7 +67,8 @@ class Result:
     """A case as tables show it: all but the estimate.
 
     `kind`, `failure`, `seconds` and `peak_mib` are those of `benchmarks.running.case.Answer`; `metrics` is empty for a
-    failure.
+    failure. Where the physical limit of the scene is on record, `metrics` holds `bound_um`, the limit over the pixels
+    that were answered, and `efficiency`, `median_um` over it; they are NaN where there is none.
     """
 
     key: str
@@ -110,6 +128,31 @@ class BenchLedger:
         with self._connection() as connection:
             _write_score(connection, key, judge, metrics)
 
+    def record_limit(self, identity: str, version: str, limit: SceneLimit) -> None:
+        """Write the physical limit of a scene; an older one is replaced."""
+        values = (identity, version, limit.window_px, limit.reason, _packed_map(limit.sigma_um))
+        with self._connection() as connection:
+            connection.execute("INSERT OR REPLACE INTO limits VALUES (?, ?, ?, ?, ?)", values)
+
+    def limit(self, identity: str, version: str = "") -> SceneLimit | None:
+        """Read the limit of a scene, by this version of its code if one is named; None where it is not on record."""
+        asked = "SELECT window_px, reason, sigma_um FROM limits WHERE identity = ? AND ? IN ('', version)"
+        with self._connection() as connection:
+            found = connection.execute(asked, (identity, version)).fetchone()
+        return None if found is None else SceneLimit(_unpacked_map(found[2]), found[0], found[1])
+
+    def record_bounds(self, version: str, bounds_um: Mapping[str, float]) -> None:
+        """Write the limit over what each of some answers covers, by the key of its case, in one transaction."""
+        values = [(key, version, bound_um) for key, bound_um in bounds_um.items()]
+        with self._connection() as connection:
+            connection.executemany("INSERT OR REPLACE INTO bounds VALUES (?, ?, ?)", values)
+
+    def bounded(self, key: str, version: str) -> bool:
+        """Tell whether the limit over what the answer to a case covers is on record, by this version of its code."""
+        with self._connection() as connection:
+            asked = "SELECT 1 FROM bounds WHERE key = ? AND version = ?"
+            return connection.execute(asked, (key, version)).fetchone() is not None
+
     def answer(self, case: Case) -> Answer:
         """Read the answer to a case, its estimate included; raises `KeyError` if there is none."""
         asked = "SELECT kind, failure, seconds, peak_mib, estimate, detail FROM answers WHERE key = ?"
@@ -123,8 +166,9 @@ class BenchLedger:
     def results(self, keys: Sequence[str], judge: str) -> list[Result]:
         """Read what tables show of these cases, in their order; those without an answer are left out."""
         asked = (
-            "SELECT a.key, scene, method, repetition, kind, failure, seconds, peak_mib, metrics, options "
-            "FROM answers a LEFT JOIN scores s ON s.key = a.key AND s.judge = ? WHERE a.key = ?"
+            "SELECT a.key, scene, method, repetition, kind, failure, seconds, peak_mib, metrics, options, b.key, "
+            "bound_um FROM answers a LEFT JOIN scores s ON s.key = a.key AND s.judge = ? "
+            "LEFT JOIN bounds b ON b.key = a.key WHERE a.key = ?"
         )
         with self._connection() as connection:
             found = [connection.execute(asked, (judge, key)).fetchone() for key in keys]
@@ -147,9 +191,23 @@ def _write_score(connection: sqlite3.Connection, key: str, judge: str, metrics: 
 
 
 def _result(row: Sequence[Any]) -> Result:
-    key, scene, method, repetition, kind, failure, seconds, peak_mib, metrics, options = row
-    times = (_number(seconds), _number(peak_mib))
-    return Result(key, scene, method, repetition, kind, failure, *times, json.loads(metrics or "{}"), options)
+    key, scene, method, repetition, kind, failure, seconds, peak_mib, said, options, bounded, bound_um = row
+    times, metrics = (_number(seconds), _number(peak_mib)), json.loads(said or "{}")
+    if metrics and bounded:
+        bound = _number(bound_um)
+        metrics |= {"bound_um": bound, "efficiency": metrics.get("median_um", NAN) / bound}
+    return Result(key, scene, method, repetition, kind, failure, *times, metrics, options)
+
+
+def _packed_map(values: Array) -> bytes:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, values=values.astype(np.float32))
+    return buffer.getvalue()
+
+
+def _unpacked_map(blob: bytes) -> Array:
+    with np.load(io.BytesIO(blob)) as stored:
+        return np.asarray(stored["values"], dtype=np.float64)
 
 
 def _number(value: float | None) -> float:

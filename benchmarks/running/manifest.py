@@ -7,7 +7,7 @@ import os
 import platform
 import subprocess
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from benchmarks.suite import BenchScene, Purpose, described
 from semrecon.errors import InputError
 from semrecon.reconstruction import versions
 
-MANIFEST = "run.json"
+MANIFEST, SWEEP_MANIFEST, PLAN_MANIFEST = "run.json", "sweep.json", "plan.json"
 _ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -58,18 +58,24 @@ class CaseRecord:
 
 @dataclass(frozen=True)
 class Manifest:
-    """A run.
+    """A run, a sweep or a plan.
 
     Parameters
     ----------
     quick, purpose
         Which suite of scenes it was.
+    cases
+        Empty for a plan, which chooses them as it goes.
     judge
         Version of the judge whose scores its tables show.
     started
         UTC, ISO 8601.
     code
         Commit, and whether files were changed since; "" where this is no checkout.
+    command
+        What was typed; "" where that is not known.
+    settings
+        What else decides it: of a sweep, all that its scenes are made from.
     """
 
     quick: bool
@@ -85,10 +91,19 @@ class Manifest:
     methods: tuple[MethodRecord, ...]
     scenes: tuple[SceneRecord, ...]
     cases: tuple[CaseRecord, ...]
+    command: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
-def manifest_of(plan: Plan, *, quick: bool, purpose: Purpose) -> Manifest:
-    """Say what a plan is of, and what it runs on."""
+def manifest_of(
+    plan: Plan,
+    *,
+    quick: bool,
+    purpose: Purpose,
+    command: str = "",
+    settings: Mapping[str, Any] | None = None,
+) -> Manifest:
+    """Say what a plan is of, and what it runs on; `settings` must be what JSON can hold."""
     return Manifest(
         quick,
         purpose,
@@ -103,19 +118,21 @@ def manifest_of(plan: Plan, *, quick: bool, purpose: Purpose) -> Manifest:
         tuple(_method(each) for each in plan.methods),
         tuple(_scene(each) for each in plan.scenes),
         tuple(_case(each) for each in plan.cases),
+        command,
+        dict(settings or {}),
     )
 
 
-def write_manifest(out: Path, manifest: Manifest) -> None:
+def write_manifest(out: Path, manifest: Manifest, name: str = MANIFEST) -> None:
     """Write it beside the ledger; the file is replaced as a whole."""
-    partial = out / f"{MANIFEST}.{os.getpid()}.partial"
+    partial = out / f"{name}.{os.getpid()}.partial"
     partial.write_text(json.dumps(asdict(manifest), indent=1) + "\n", encoding="utf-8")
-    partial.replace(out / MANIFEST)
+    partial.replace(out / name)
 
 
-def read_manifest(run: Path) -> Manifest:
+def read_manifest(folder: Path, name: str = MANIFEST) -> Manifest:
     """Read what `write_manifest` wrote; raises `InputError` where there is none or it is damaged."""
-    path = run / MANIFEST
+    path, what = folder / name, name.removesuffix(".json")
     try:
         table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         table["methods"] = tuple(_method_from(each) for each in table["methods"])
@@ -124,14 +141,28 @@ def read_manifest(run: Path) -> Manifest:
         return Manifest(**table)
     except FileNotFoundError:
         raise InputError(
-            f"{run} has no {MANIFEST}; name the folder of a run, or repeat the command that made it with --out {run}: "
-            "what is on record is not run again"
+            f"{folder} has no {name}; name the folder of a {what}, or repeat the command that made it with "
+            f"--out {folder}: what is on record is not run again"
         ) from None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
-            f"{path} is damaged ({error}); repeat the command that made the run with --out {run}: what is on record is "
-            "not run again"
+            f"{path} is damaged ({error}); repeat the command that made the {what} with --out {folder}: what is on "
+            "record is not run again"
         ) from error
+
+
+def origin(manifest: Manifest) -> list[str]:
+    """Say in Markdown which command, code and machine a page rests on."""
+    versions_of = ", ".join(f"{name} {version}" for name, version in manifest.versions.items())
+    machine_of = ", ".join(f"{name} {value}" for name, value in manifest.machine.items())
+    typed = [f"    {manifest.command}", ""] if manifest.command else []
+    return [
+        "## Where it comes from",
+        "",
+        *typed,
+        f"Begun {manifest.started} by commit {manifest.code or 'not known'}; {machine_of}; {versions_of}.",
+        "",
+    ]
 
 
 def commit() -> str:

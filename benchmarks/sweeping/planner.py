@@ -12,7 +12,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from benchmarks.judging.sensitivity import noise_gain
 from benchmarks.running.bench import Plan, Report, measure
 from benchmarks.running.bench_ledger import BenchLedger, Result
 from benchmarks.running.cell import Limits
+from benchmarks.running.manifest import Manifest, manifest_of
 from benchmarks.running.runner import completed
 from benchmarks.scenes import SimulatedSource
 from benchmarks.suite import BenchScene
@@ -176,6 +177,15 @@ def make_plan(task: Task, ledger: BenchLedger, executor: Executor, report: Repor
     chosen = choose(candidates, task.target_um, task.checks)
     checked = simulated(task.scene, chosen, task, ledger, executor, _stage(report, "check"))
     return Planned(task.target_um, task.method.name, model, tuple(fitted), candidates, tuple(checked))
+
+
+def task_manifest(task: Task, command: str) -> Manifest:
+    """Say what a plan is made for and of, for the record; its cases are chosen as it goes."""
+    chosen = {name: list(values) for name, values in asdict(task.choices).items()}
+    settings = {"target_um": task.target_um, "checks": task.checks, "window_px": task.window_px, **chosen}
+    scenes = (task.scene, replace(task.development, name=f"{task.development.name} (development)"))
+    plan = Plan(scenes, (task.method,), task.repetitions, task.limits)
+    return replace(manifest_of(plan, quick=False, purpose="reporting", command=command, settings=settings), cases=())
 
 
 def calibration_points(choices: Choices) -> list[tuple[int, float, float]]:

@@ -93,6 +93,11 @@ class Sweep:
         """Every combination of values, the last axis fastest."""
         return [self._point(values) for values in product(*(axis.values for axis in self.axes))]
 
+    @property
+    def plan(self) -> Plan:
+        """All methods on all points."""
+        return Plan(tuple(point.scene for point in self.points), self.methods, self.repetitions, self.limits)
+
     def _point(self, values: tuple[float, ...]) -> Point:
         scene = self.base.source.scene
         for axis, value in zip(self.axes, values, strict=True):
@@ -143,6 +148,28 @@ def base_scene(name_or_path: str, cache: Path, *, columns: int, purpose: Purpose
     return replace(found, source=replace(found.source, scene=scene), offers=offered(scene))
 
 
+def sweep_settings(sweep: Sweep, name_or_path: str, *, columns: int, channels: bool) -> dict[str, Any]:
+    """List what `points_of` makes the same variants from again, as JSON can hold it."""
+    axes = [{"name": axis.name, "values": list(axis.values)} for axis in sweep.axes]
+    return {"scene": name_or_path, "columns": columns, "channels": channels, "axes": axes, **asdict(sweep.theory)}
+
+
+def points_of(settings: Mapping[str, Any], cache: Path, purpose: Purpose) -> list[Point]:
+    """Make the variants of a sweep from its settings on record.
+
+    Raises
+    ------
+    InputError
+        The settings are damaged, or the file of the scene is not at hand.
+    """
+    try:
+        axes = tuple(axis_named(each["name"], [float(value) for value in each["values"]]) for each in settings["axes"])
+        name, columns, channels = str(settings["scene"]), int(settings["columns"]), bool(settings["channels"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"the settings of the sweep are damaged ({error}); repeat the sweep") from error
+    return Sweep(base_scene(name, cache, columns=columns, purpose=purpose, channels=channels), axes, ()).points
+
+
 def offered(scene: Scene) -> tuple[str, ...]:
     """List what a scene has of what methods may need."""
     has = {
@@ -157,8 +184,7 @@ def offered(scene: Scene) -> tuple[str, ...]:
 def run_sweep(sweep: Sweep, ledger: BenchLedger, executor: Executor, report: Report) -> Swept:
     """Measure all points, then work out theory; what is on record is taken from there."""
     points = sweep.points
-    plan = Plan(tuple(point.scene for point in points), sweep.methods, sweep.repetitions, sweep.limits)
-    found = measure(plan, ledger, executor, report)
+    found = measure(sweep.plan, ledger, executor, report)
     theory = _theories(points, sweep.theory, ledger.path.parent / THEORY, executor, report)
     by_scene = {point.scene.name: [each for each in found if each.scene == point.scene.name] for point in points}
     return Swept(sweep, tuple(points), tuple(theory), tuple(tuple(by_scene[point.scene.name]) for point in points))

@@ -84,34 +84,39 @@
   };
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+  const PLOT_PX = 260, AXIS_PX = 64;  // of a narrow page
   const layoutOf = (figure, narrow) => {
     const axis = { gridcolor: colour("--line"), zerolinecolor: colour("--line"), automargin: true, nticks: narrow ? 5 : 8 };
     const lines = figure.data.filter((each) => each.name).length;
-    const below = { orientation: "h", x: 0, y: -0.22, yanchor: "top", font: { size: 10 } };
+    const names = narrow ? 19 * lines + 12 : 0;  // narrow pages have the names below the plot, one a line
+    const below = { x: 0, y: -AXIS_PX / PLOT_PX, yanchor: "top", font: { size: 10 } };
     return {
       ...figure.layout,
       xaxis: { ...axis, ...figure.layout.xaxis }, yaxis: { ...axis, ...figure.layout.yaxis },
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", hovermode: "closest", dragmode: "zoom",
       font: { color: colour("--ink"), family: "system-ui, sans-serif", size: 12 },
-      margin: { l: 60, r: 12, t: 34, b: 50 },
+      margin: narrow ? { l: 48, r: 8, t: 34, b: AXIS_PX + names } : { l: 60, r: 12, t: 34, b: 50 },
+      ...(narrow ? { height: 34 + PLOT_PX + AXIS_PX + names } : {}),
       modebar: { bgcolor: "rgba(0,0,0,0)", color: colour("--quiet"), activecolor: colour("--accent") }, showlegend: lines > 0,
       legend: narrow ? below : { font: { size: 11 } },
     };
   };
   const FEW = "D2";  // 1, 2 and 5 of each power of ten
+  const fewOf = (box, name) => (name === "xaxis" && box.clientWidth < 700 ? 1 : FEW);
   const draw = (box) => {
     const figure = JSON.parse(one(`script[data-plot="${CSS.escape(box.id)}"]`).textContent);
     box.replaceChildren();
     const layout = layoutOf(figure, box.clientWidth < 700);
+    box.style.height = layout.height ? `${layout.height}px` : "";
     const logarithmic = ["xaxis", "yaxis"].filter((name) => layout[name].type === "log");
-    for (const name of logarithmic) layout[name].dtick = FEW;
+    for (const name of logarithmic) layout[name].dtick = fewOf(box, name);
     const options = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "sendChartToCloud"] };
     return Plotly.newPlot(box, figure.data, layout, options).then(() => {
       box.on("plotly_relayout", (changed) => {  // zoomed in, more places of an axis have to be named
         const named = {};
         for (const name of logarithmic) {
           if (`${name}.range[0]` in changed) named[`${name}.dtick`] = null;
-          if (`${name}.autorange` in changed) named[`${name}.dtick`] = FEW;
+          if (`${name}.autorange` in changed) named[`${name}.dtick`] = fewOf(box, name);
         }
         if (Object.keys(named).length) Plotly.relayout(box, named);
       });
