@@ -83,7 +83,7 @@ class SimulatedSource:
 
     def series(self, repetition: int) -> TiltSeries:
         """Expose the prepared surfaces with the noise of this repetition."""
-        return series_from_capture(expose(self.surfaces(), np.random.default_rng(seed_of(self.name, repetition))))
+        return _exposed(self, repetition)
 
     def truth(self) -> GroundTruth:
         """Truth of the scene."""
@@ -108,6 +108,20 @@ def _loaded(path: Path) -> Surfaces:
     surfaces = pickle.loads(path.read_bytes())  # written by `prepare` in this very folder
     assert isinstance(surfaces, Surfaces)
     return surfaces
+
+
+@lru_cache(maxsize=1)
+def _exposed(source: SimulatedSource, repetition: int) -> TiltSeries:
+    """Series of a repetition, kept for the methods and the judge that ask for it one after the other.
+
+    Nobody may write to it: what one method does to its input must not reach the next.
+    """
+    rng = np.random.default_rng(seed_of(source.name, repetition))
+    series = series_from_capture(expose(source.surfaces(), rng))
+    for view in series.views:
+        for image in (view.image, *view.channels.values()):
+            image.setflags(write=False)
+    return series
 
 
 @lru_cache(maxsize=16)

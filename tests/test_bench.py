@@ -20,7 +20,7 @@ from benchmarks.running.runner import seed_of
 from benchmarks.scenes import RealSource, SimulatedSource, with_tilt_step
 from benchmarks.seed_study.paper import LEDGER, run_paper
 from benchmarks.seed_study.study import jobs, measure
-from semrecon.data import HeightMap, Optics
+from semrecon.data import ChannelGeometry, HeightMap, Optics
 from semrecon.input.series import write_series
 from semsim.microscope import Microscope, TiltSchedule
 from semsim.scene import Scene
@@ -146,6 +146,13 @@ def test_repetitions_differ_in_noise_alone(source: SimulatedSource) -> None:
     assert seed_of("grain", 0) != seed_of("grain", 1)
 
 
+def test_what_one_method_does_to_its_input_cannot_reach_the_next(source: SimulatedSource) -> None:
+    view = source.series(0).views[0]
+    for image in (view.image, *view.channels.values()):
+        with pytest.raises(ValueError, match="read-only"):
+            image[0, 0] = 7
+
+
 def test_a_series_without_texture_is_a_row_with_a_sentence(source: SimulatedSource) -> None:
     series = source.series(0)
     rng = np.random.default_rng(0)
@@ -159,6 +166,15 @@ def test_keys_tell_series_apart(source: SimulatedSource) -> None:
     series = source.series(0)
     sources = (RealSource("x", series), RealSource("x", with_tilt_step(series, 3.0)), RealSource("x", source.series(1)))
     assert len({job.keys for each in sources for job in jobs(each, 2)}) == 6
+
+
+def test_what_a_real_series_states_beside_its_images_is_part_of_its_key(source: SimulatedSource) -> None:
+    series = source.series(0)
+    first, *others = series.views
+    moved = replace(series, views=(replace(first, stage_um=(1.0, 0.0)), *others))
+    lit = replace(series, views=(replace(first, channels={"left": first.image}), *others))
+    sided = replace(series, channel_geometry={"left": ChannelGeometry(180.0)})
+    assert len({RealSource("x", each).identity for each in (series, moved, lit, sided)}) == 4
 
 
 def test_real_series_from_the_command_line(source: SimulatedSource, tmp_path: Path) -> None:

@@ -17,7 +17,16 @@ from benchmarks.oracles import ORACLES
 from benchmarks.reporting import error_maps
 from benchmarks.reporting.error_figures import COLUMNS, DPI, TILE_PX, WIDTH_PX, caption, draw_strip, headline
 from benchmarks.reporting.error_maps import NOT_RUN, ErrorMap, Record, Strip, error_map, read_run, scene_maps, strips
-from benchmarks.reporting.methods_page import ALONE, BEGIN, END, filled_page, leaderboard
+from benchmarks.reporting.methods_page import (
+    ALONE,
+    BEGIN,
+    END,
+    FRONT_BEGIN,
+    FRONT_END,
+    cell,
+    filled_page,
+    leaderboard,
+)
 from benchmarks.reporting.report_figures import ERRORS, MISSING, UNJUDGED
 from benchmarks.running import case
 from benchmarks.running.bench import LEDGER, Plan, measure
@@ -232,13 +241,26 @@ def test_the_caption_says_what_a_wider_gauge_has_forgiven() -> None:
 
 
 def test_the_command_draws_a_picture_a_method_and_fills_the_page(record: Record, tmp_path: Path) -> None:
-    page, out = tmp_path / "page.md", tmp_path / "img"
+    page, front, out = tmp_path / "page.md", tmp_path / "front.md", tmp_path / "img"
     page.write_text(f"Mine.\n{BEGIN}\n{END}\n")
-    done = CliRunner().invoke(app, ["gallery", "--run", str(record.run), "--out", str(out), "--page", str(page)])
+    front.write_text(f"First.\n{FRONT_BEGIN}\n{FRONT_END}\nLast.\n")
+    options = ["--run", str(record.run), "--out", str(out), "--page", str(page), "--front", str(front)]
+    done = CliRunner().invoke(app, ["gallery", *options])
     assert done.exit_code == 0, done.output
     assert sorted(path.name for path in out.iterdir()) == ["level.jpg", "refuses.jpg"]
     assert page.read_text().startswith("Mine.\n")
     assert "| level |" in page.read_text()
+    assert front.read_text().startswith("First.\n")
+    assert front.read_text().endswith("Last.\n")
+    median = np.mean([each.metrics["median_um"] for each in record.results if each.method == "level"])
+    (row,) = [line for line in front.read_text().splitlines() if line.startswith("| level |")]
+    assert float(row.split("|")[2].split("(")[0]) == pytest.approx(median, rel=0.01)
+
+
+def test_a_median_stands_with_its_efficiency_where_there_is_a_bound() -> None:
+    assert cell(0.7213, 11.12) == "0.721 (11)"
+    assert cell(0.7213, np.nan) == "0.721"
+    assert cell(np.nan, np.nan) == "-"
 
 
 def test_a_folder_without_a_run_is_refused_in_a_sentence(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -66,12 +67,19 @@ def _some(points_um: Array) -> Array:
 
 def distances_to_mesh(points_um: Array, mesh: Mesh) -> Array:
     """Distance of each point to the nearest place of the mesh, (points,) um."""
+    found = _searchable(mesh).compute_distance(points_um.astype(np.float32))
+    return np.asarray(found.numpy(), dtype=np.float64)
+
+
+@lru_cache(maxsize=1)
+def _searchable(mesh: Mesh) -> Any:
+    """Search tree of a mesh, kept for the next answer on the same scene: to build it costs more than to ask it."""
     import open3d
 
     scene: Any = open3d.t.geometry.RaycastingScene()
     scene.add_triangles(mesh.vertices_um.astype(np.float32), mesh.faces.astype(np.uint32))
-    found = scene.compute_distance(points_um.astype(np.float32))
-    return np.asarray(found.numpy(), dtype=np.float64)
+    scene.compute_distance(np.zeros((1, 3), dtype=np.float32))  # the tree is built by the first question
+    return scene
 
 
 def normal_error_deg(estimated_um: Array, true_um: Array, judged: Mask, step_um: float) -> float:

@@ -16,6 +16,7 @@ from benchmarks.running.manifest import MethodRecord
 from semrecon.errors import InputError
 
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"
+FRONT_BEGIN, FRONT_END = "<!-- medians:begin -->", "<!-- medians:end -->"
 ALONE = "The same after an offset alone, whatever else is declared: what a user would meet (first repetition)"
 TABLES = {
     "median_um": "Median absolute depth error, um, after the declared gauge is removed",
@@ -27,12 +28,29 @@ TABLES = {
 }
 
 
-def filled_page(page: str, body: str) -> str:
+def filled_page(page: str, body: str, begin: str = BEGIN, end: str = END) -> str:
     """Put a text between the markers of a page; raises `InputError` unless there is one pair of them."""
-    if page.count(BEGIN) != 1 or page.count(END) != 1 or page.index(BEGIN) > page.index(END):
-        raise InputError(f"the page must have one line {BEGIN} and, below it, one line {END}")
-    head, _, rest = page.partition(BEGIN)
-    return f"{head}{BEGIN}\n\n{body.strip()}\n\n{END}{rest.partition(END)[2]}"
+    if page.count(begin) != 1 or page.count(end) != 1 or page.index(begin) > page.index(end):
+        raise InputError(f"the page must have one line {begin} and, below it, one line {end}")
+    head, _, rest = page.partition(begin)
+    return f"{head}{begin}\n\n{body.strip()}\n\n{end}{rest.partition(end)[2]}"
+
+
+def medians(record: Record) -> str:
+    """Write the one table of a front page: median error of each method on each scene, and efficiency in brackets."""
+    scenes = _scenes(record)
+    rows = [["method", *scenes]]
+    for method in record.methods:
+        pairs = [
+            [_mean(record.results, at, method.name, each) for each in ("median_um", "efficiency")] for at in scenes
+        ]
+        rows.append([_name(method), *(cell(*pair) for pair in pairs)])
+    return f"{_origin(record)}\n\n{_table(rows)}"
+
+
+def cell(median_um: float, efficiency: float) -> str:
+    """Say a median and, in brackets, its efficiency where there is one: 0.72 (11)."""
+    return f"{_said(median_um)} ({efficiency:.2g})" if np.isfinite(efficiency) else _said(median_um)
 
 
 def leaderboard(record: Record, drawn: Sequence[Strip]) -> str:
