@@ -259,6 +259,8 @@ def test_the_command_draws_a_picture_a_method_and_fills_the_page(record: Record,
 
 def test_a_median_stands_with_its_efficiency_where_there_is_a_bound() -> None:
     assert cell(0.7213, 11.12) == "0.721 (11)"
+    assert cell(0.7213, 1.26) == "0.721 (1.3)"
+    assert cell(3e-8, 2e-7) == "< 0.001 (0.0)"
     assert cell(0.7213, np.nan) == "0.721"
     assert cell(np.nan, np.nan) == "-"
 

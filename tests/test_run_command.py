@@ -17,7 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.__main__ import app
-from benchmarks.reporting.leaderboard import entries, markdown, notes
+from benchmarks.reporting.leaderboard import entries, markdown, notes, side_by_side
 from benchmarks.running import bench
 from benchmarks.running.bench import LEDGER, Plan, alone, contenders, measure
 from benchmarks.running.bench_ledger import BenchLedger
@@ -278,3 +278,17 @@ def test_killed_at_any_moment_nothing_is_lost_and_nothing_is_there_twice(kills: 
     assert len(calls) <= 150 + (2 + 16) * deaths  # only what was under way or handed over is done again
     assert killed_run(tmp_path, None) == 0
     assert len((tmp_path / "log").read_text().split()) == len(calls)
+
+
+@pytest.mark.parametrize("width", [30, 60, 80, 500])
+def test_a_narrow_terminal_gets_several_tables_that_hold_all_cells(width: int) -> None:
+    scenes = [f"scene_{i}" for i in range(9)]
+    rows = [["method", "needs", *scenes], ["dense_multiview", "rotations, pixel_size", *map(str, range(9))]]
+    tables = side_by_side(rows, width)
+    assert all(table[0][0] == "method" and table[1][0] == "dense_multiview" for table in tables)
+    said = {column: value for head, line in tables for column, value in zip(head[1:], line[1:], strict=True)}
+    assert said == dict(zip(rows[0][1:], rows[1][1:], strict=True))
+    assert list(said)[-1] == "needs"
+    for head, line in tables:
+        letters = 1 + sum(3 + max(len(a), len(b)) for a, b in zip(head, line, strict=True))
+        assert letters <= width or len(head) == 2

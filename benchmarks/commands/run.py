@@ -60,9 +60,6 @@ def run(
 
 def _show(plan: Plan, results: list[Result], ledger: BenchLedger, made_by: Manifest, out: Path) -> None:
     """Write tables and print the one over all scenes."""
-    from rich.console import Console
-    from rich.table import Table
-
     from benchmarks.reporting.leaderboard import (
         entries,
         limit_notes,
@@ -90,12 +87,24 @@ def _show(plan: Plan, results: list[Result], ledger: BenchLedger, made_by: Manif
         write_parquet(out / "results.parquet", results)
     except InputError as error:
         typer.echo(f"note: {error}", err=True)
-    head, *rows = rows_over_scenes(every)
-    table = Table(*head, title="median absolute depth error, um, declared gauge removed")
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)
+    _print_table(rows_over_scenes(every))
     for each in every:
         if each.failures and not each.outcome.startswith("needs "):
             typer.echo(f"{each.scene}, {each.method}: {each.outcome}")
     typer.echo(f"Results are in {out}; open leaderboard.md first.")
+
+
+def _print_table(rows: list[list[str]]) -> None:
+    """Print medians, as many scenes side by side as the terminal is wide; what each method needs comes last."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from benchmarks.reporting.leaderboard import side_by_side
+
+    console = Console()
+    typer.echo("Median absolute depth error, um, declared gauge removed, and what each method needs:")
+    for head, *lines in side_by_side(rows, console.width):
+        table = Table(*head)
+        for line in lines:
+            table.add_row(*line)
+        console.print(table)

@@ -112,6 +112,26 @@ def rows_over_scenes(every: Sequence[Entry], metric: str = "median_um") -> list[
     return answer
 
 
+def side_by_side(rows: Sequence[Sequence[str]], width: int) -> list[list[list[str]]]:
+    """Cut a table of `rows_over_scenes` into ones that are at most so many letters wide, each with the methods.
+
+    The column of needs goes to the end. A column that is too wide even alone gets a table of its own.
+    """
+    columns = list(zip(*rows, strict=True))
+    names, needs, *scenes = columns
+    answer: list[list[Sequence[str]]] = []
+    for column in (*scenes, needs):
+        if not answer or _letters([*answer[-1], column]) > width:
+            answer.append([names])
+        answer[-1].append(column)
+    return [[list(row) for row in zip(*each, strict=True)] for each in answer]
+
+
+def _letters(columns: Sequence[Sequence[str]]) -> int:
+    """Width of a table with rules between its columns."""
+    return 1 + sum(3 + max(map(len, column)) for column in columns)
+
+
 def markdown(every: Sequence[Entry], about: Mapping[str, str], notes: Sequence[str]) -> str:
     """Write the leaderboard as Markdown."""
     parts = ["# Leaderboard", *notes]

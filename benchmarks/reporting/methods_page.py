@@ -17,6 +17,8 @@ from semrecon.errors import InputError
 
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"
 FRONT_BEGIN, FRONT_END = "<!-- medians:begin -->", "<!-- medians:end -->"
+LEAST_SAID = 0.001
+"""Smaller numbers are rounding of the computer."""
 ALONE = "The same after an offset alone, whatever else is declared: what a user would meet (first repetition)"
 TABLES = {
     "median_um": "Median absolute depth error, um, after the declared gauge is removed",
@@ -50,7 +52,9 @@ def medians(record: Record) -> str:
 
 def cell(median_um: float, efficiency: float) -> str:
     """Say a median and, in brackets, its efficiency where there is one: 0.72 (11)."""
-    return f"{_said(median_um)} ({efficiency:.2g})" if np.isfinite(efficiency) else _said(median_um)
+    if not np.isfinite(efficiency):
+        return _said(median_um)
+    return f"{_said(median_um)} ({efficiency:.0f})" if efficiency >= 10 else f"{_said(median_um)} ({efficiency:.1f})"
 
 
 def leaderboard(record: Record, drawn: Sequence[Strip]) -> str:
@@ -154,6 +158,8 @@ def _range(values: Sequence[float]) -> str:
 def _said(value: float) -> str:
     if not np.isfinite(value):
         return "-"
+    if 0 < abs(value) < LEAST_SAID:
+        return f"< {LEAST_SAID:g}"
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 

@@ -141,6 +141,10 @@ def error_curves(
     return {"data": data, "layout": {"xaxis": x_axis, "yaxis": share_axis("share of the surface")}}
 
 
+LEAST_RATIO = 0.01
+"""Efficiencies below are rounding of the computer, and lie below the axis."""
+
+
 def distance_plot(ratios: Mapping[str, Sequence[float]], scenes: Sequence[str], places: Mapping[str, int]) -> Figure:
     """Draw the efficiency of each method on each scene, with a line at 1: the limit.
 
@@ -159,7 +163,10 @@ def distance_plot(ratios: Mapping[str, Sequence[float]], scenes: Sequence[str], 
         marker = {"color": colour, "size": 9, "symbol": SYMBOLS[DASHES.index(dash)]}
         y = numbers(np.asarray(values, dtype=np.float64))
         data.append({"x": names, "y": y, "name": name, "mode": "markers", "marker": marker})
-    y_axis = {"title": {"text": "error over limit"}, "type": "log", "exponentformat": "none"}
+    y_axis = {"title": {"text": "error over limit"}, "type": "log", "exponentformat": "none", "dtick": 1}
+    known = [value for values in ratios.values() for value in values if np.isfinite(value) and value > LEAST_RATIO]
+    ends = [float(np.log10(min([1.0, *known]) / 1.5)), float(np.log10(max([1.0, *known]) * 1.5))]
+    y_axis["range"] = ends  # an oracle that errs by rounding alone would take all of a logarithmic axis
     return {"data": data, "layout": {"xaxis": {"type": "category", "dtick": 1}, "yaxis": y_axis}}
 
 
