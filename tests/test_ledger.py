@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import operator
 import os
 import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.running.ledger import Ledger, Row
-from benchmarks.running.runner import Job, digest, run_jobs, seed_of
+from benchmarks.running.runner import Job, completed, digest, run_jobs, seed_of
 
 
 def row(key: str, repetition: int = 0, **metrics: float) -> Row:
@@ -63,6 +64,24 @@ def test_a_bug_in_one_job_loses_nothing_of_those_before(tmp_path: Path) -> None:
     with ThreadPoolExecutor(1) as executor, pytest.raises(RuntimeError, match="a bug"):
         run_jobs(jobs, executor, ledger)
     assert ledger.has("a")
+
+
+def test_a_bug_loses_nothing_that_ended_together_with_it() -> None:
+    """All calls have ended before the first is asked for; whatever the order of a set, the sound ones come first."""
+
+    class AtOnce(Executor):
+        def submit(self, fn, /, *args, **kwargs):  # type: ignore[no-untyped-def]
+            future: Future[int] = Future()
+            try:
+                future.set_result(fn(*args, **kwargs))
+            except ZeroDivisionError as error:
+                future.set_exception(error)
+            return future
+
+    answers = completed(((operator.floordiv, (12, by)) for by in (0, 1, 2, 3)), AtOnce())
+    assert sorted(next(answers) for _ in range(3)) == [4, 6, 12]
+    with pytest.raises(ZeroDivisionError):
+        next(answers)
 
 
 KILLED = """

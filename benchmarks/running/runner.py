@@ -58,7 +58,7 @@ def run_jobs(
 
 
 def completed(calls: Iterable[tuple[Callable[..., T], tuple[Any, ...]]], executor: Executor) -> Iterator[T]:
-    """Make calls through an executor and yield what they return, in the order of completion.
+    """Make calls through an executor and yield what they return, in the order of completion; raise what one raises.
 
     No more than `IN_FLIGHT` are handed over at a time, and nothing is kept that was yielded, so that a long run needs
     no more memory than a short one. Calls that have not begun are withdrawn when the caller stops.
@@ -71,8 +71,9 @@ def completed(calls: Iterable[tuple[Callable[..., T], tuple[Any, ...]]], executo
                 under_way.add(executor.submit(function, *arguments))
             if not under_way:
                 return
-            done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
-            while done:
+            ended, under_way = wait(under_way, return_when=FIRST_COMPLETED)
+            done = sorted(ended, key=lambda future: future.exception() is None)
+            while done:  # what came out well first: a bug in one call must not lose what ended together with it
                 yield done.pop().result()
     finally:
         for future in under_way:
