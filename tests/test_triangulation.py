@@ -17,7 +17,6 @@ from semrecon.points.translation import solve_closed_form
 from semrecon.points.triangulation import (
     pair_cloud,
     projection_matrix,
-    reprojection_inliers,
     residuals_px,
     triangulate,
 )
@@ -92,7 +91,7 @@ def test_points_without_two_beams_are_missing_throughout(optics: Optics) -> None
     assert np.isnan(cloud.covariance_um2[:-1]).all()
     assert np.isnan(cloud.residual_px[:-1]).all()
     np.testing.assert_allclose(cloud.xyz_um[-1], xyz[-1], atol=1e-8)
-    assert not reprojection_inliers(cloud, 1e9)[:-1].any()
+    assert not (cloud.residual_px <= 1e9)[:-1].any()
 
 
 def test_precise_sightings_outweigh_coarse_ones() -> None:
@@ -187,7 +186,7 @@ def test_filter_keeps_what_reprojects_well_and_nothing_else() -> None:
     xy = sightings(points(), poses, PARALLEL)
     xy[::4, 1] += 12.0
     cloud = triangulate(Tracks(xy), poses, PARALLEL)
-    good = reprojection_inliers(cloud, 1.0)
+    good = cloud.residual_px <= 1.0
     np.testing.assert_array_equal(good, np.arange(200) % 4 != 0)
     kept = cloud.keep(good)
     np.testing.assert_array_equal(kept.xyz_um, cloud.xyz_um[good])

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from semrecon.data import Array, Mask, Optics, PointCloud, Poses, Tracks
+from semrecon.data import Array, Optics, PointCloud, Poses, Tracks
 from semrecon.errors import InputError
 from semrecon.geometry import CAM_FROM_VIEW, project
 from semrecon.points.beams import Views, lengths_px, newton_step, parallel_intersection, views_of
@@ -79,15 +79,6 @@ def residuals_px(tracks: Tracks, xyz_um: Array, poses: Poses, optics: Optics) ->
     """Sighting minus reprojection, px, (tracks, views, 2); NaN where a view does not see the point."""
     views = zip(poses.rotations, poses.translations_um, strict=True)
     return tracks.xy_px - np.stack([project(xyz_um, rotation, t, optics) for rotation, t in views], axis=1)
-
-
-def reprojection_inliers(cloud: PointCloud, threshold_px: float) -> Mask:
-    """Tell which points have a position and a residual of at most `threshold_px`, (points,): the seed's filter.
-
-    Between two views a mismatch of delta px across the epipolar line makes a residual of delta / 2, and one along the
-    line makes none: such a wrong match passes any threshold.
-    """
-    return np.asarray(cloud.residual_px <= threshold_px)
 
 
 def pair_cloud(
