@@ -6,9 +6,10 @@ Compiled kernels let go of the interpreter's lock, so that the threads run at on
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+
+from semsim.workers import threads
 
 BANDS_A_THREAD = 4
 """More bands than threads, because some are full of specimen and others empty."""
@@ -16,8 +17,7 @@ BANDS_A_THREAD = 4
 
 def in_bands(rows: int, work: Callable[[int, int], object]) -> None:
     """Call ``work(start, stop)`` for bands that cover all `rows`; an exception in one is raised here."""
-    threads = os.cpu_count() or 1
-    step = max(1, -(-rows // (threads * BANDS_A_THREAD)))
+    step = max(1, -(-rows // (threads() * BANDS_A_THREAD)))
     starts = range(0, rows, step)
-    with ThreadPoolExecutor(threads) as pool:
+    with ThreadPoolExecutor(threads()) as pool:
         list(pool.map(lambda start: work(start, min(start + step, rows)), starts))

@@ -64,7 +64,8 @@ def measured(scene: BenchScene, methods: Sequence[Any], repetitions: int) -> Mea
     for repetition in range(repetitions):
         for method in methods:
             case = Case(scene, method, repetition, "")
-            found = unfit(case) or call(case, lambda: None)
+            series = handed(case.scene.series(case.repetition), case.method)
+            found = unfit(case) or call((case, series), lambda: None)
             if found.kind:
                 answer.refusals[method.name] = found.failure
             figures = {} if found.kind else judged(case, unpacked(found.estimate))

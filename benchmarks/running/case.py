@@ -153,16 +153,17 @@ _cells = threading.local()
 def _called(case: Case, limits: Limits) -> Answer:
     if not hasattr(_cells, "own"):
         _cells.own = Cell()
-    value = _cells.own.call("benchmarks.running.case:call", case, limits)
+    series = handed(case.scene.series(case.repetition), case.method)  # kept here for the judge, so not made twice
+    value = _cells.own.call("benchmarks.running.case:call", (case, series), limits)
     return Answer(case.key, value.kind, value.sentence) if isinstance(value, Ended) else value
 
 
-def call(case: Case, ready: Callable[[], None]) -> Answer:
-    """Make the series, then call the method and measure: what runs in the cell."""
+def call(given: tuple[Case, TiltSeries], ready: Callable[[], None]) -> Answer:
+    """Call the method on the series and measure: what runs in the cell."""
     import cv2
 
     cv2.setNumThreads(1)  # cases run side by side already
-    series = handed(case.scene.series(case.repetition), case.method)
+    case, series = given
     extra = (case.scene.source.truth(),) if is_oracle(case.method) else ()
     if not extra:
         ready()

@@ -20,7 +20,7 @@ from typing import Any
 
 READY = "ready"
 PREPARATION_S = 900.0
-"""Most time for what comes before the call: making the series."""
+"""Most time for what comes before the call: libraries load, and what an oracle is told is read."""
 GIB = 1 << 30
 _LOOK_S = 0.05
 
@@ -61,7 +61,10 @@ class Cell:
             The function raised: a bug of the bench, as it answers for the methods.
         """
         line = self._started()
-        line.send((function, pickle.dumps(argument)))
+        try:
+            line.send((function, pickle.dumps(argument)))
+        except ConnectionError:
+            return self._gone()
         until, started = time.monotonic() + PREPARATION_S, False
         while True:
             if line.poll(_LOOK_S):
@@ -77,7 +80,7 @@ class Cell:
                     return value
             elif time.monotonic() > until:
                 self.close()
-                limit = f"{limits.seconds:g} s" if started else f"{PREPARATION_S:g} s to make the series"
+                limit = f"{limits.seconds:g} s" if started else f"{PREPARATION_S:g} s to begin"
                 return Ended("timeout", f"took longer than {limit} and was ended")
             elif self._resident() > limits.memory_gib * GIB:
                 self.close()

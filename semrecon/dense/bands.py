@@ -6,18 +6,14 @@ machine to machine, and some of them warn. Every piece writes to its own place, 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
+from semrecon.numerics.threads import threads
+
 T = TypeVar("T")
 BANDS_A_THREAD = 2
-
-
-def threads() -> int:
-    """How many threads are worth having."""
-    return min(os.cpu_count() or 1, 8)
 
 
 def in_bands(rows: int, work: Callable[[int, int], object]) -> None:

@@ -1,6 +1,6 @@
 """Intersection of beams, and distances from them: the loops over points and views that everything else waits for.
 
-Two kernels, run over bands of points in two threads (`point_bands`). They know the camera of `camera_model`: sightings
+Two kernels, run over bands of points side by side (`point_bands`). They know the camera of `camera_model`: sightings
 are mapped back to the ideal camera (``undo = (M T)^-1``) before they are compared.
 """
 
