@@ -122,7 +122,7 @@ def test_shading_is_an_option_that_changes_heights_and_off_is_without_it(monkeyp
     whole, part = series_from_capture(captured("sphere")), (slice(30, 150), slice(40, 200))
     views = tuple(replace(view, image=view.image[part].copy()) for view in whole.views)
     series = replace(whole, views=views, optics=replace(whole.optics, width_px=160, height_px=120))
-    plain = DenseMultiview()
+    plain = DenseMultiview(shading="off")
     aligned = align(series, plain.correspondence, plain.refinement, np.random.default_rng(0))
     found = DenseMultiview(shading="everywhere").from_alignment(series, aligned)
     assert found.diagnostics["shading"]["share_by_shading"] == 1.0

@@ -86,9 +86,8 @@ def test_coarse_grids_solve_what_fine_steps_alone_do_not() -> None:
 
 
 def near(heights: Array, mean: Array, reflectance: Reflectance) -> Linearised:
-    whole = np.ones(SHAPE, np.float32)
-    options = ShadingOptions()
-    return linearised(mean.astype(np.float32), whole > 0, 28.0, heights, reflectance, whole, UPRIGHT, options)
+    everywhere = np.ones(SHAPE, dtype=np.bool_)
+    return linearised(mean.astype(np.float32), everywhere, 28.0, heights, reflectance, UPRIGHT, ShadingOptions())
 
 
 def test_the_transpose_is_the_transpose() -> None:
@@ -118,13 +117,14 @@ def test_the_side_of_the_detector_is_found() -> None:
 
 
 def photographs(heights: Array, paint: Array, law: Reflectance, dose: float = 200.0) -> TiltSeries:
-    """A surface in three views, painted and shaded as the reference view sees it, with counting noise."""
+    """A surface in three views, painted, and shaded as each sees it, with counting noise."""
     from scipy.ndimage import map_coordinates
 
-    bright = 2 * np.sqrt(dose) * (1 + tones(heights, UPRIGHT, law).value + paint)
+    turns = rotations_from_tilts(np.array([0.0, 6.0, 12.0]), 0.0)
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
     rng, views = np.random.default_rng(7), []
-    for tilt in (0.0, 6.0, 12.0):
+    for tilt, turn in zip((0.0, 6.0, 12.0), turns, strict=True):
+        bright = 2 * np.sqrt(dose) * np.exp(tones(heights, (turn @ turns[0].T)[None], law).value + paint)
         c, s = np.cos(np.deg2rad(tilt)), np.sin(np.deg2rad(tilt))
         middle, source = (SHAPE[1] - 1) / 2, x.copy()
         for _ in range(30):  # the column of the reference view that lands on this one

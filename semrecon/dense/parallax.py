@@ -127,25 +127,35 @@ def normal_equations(
     noise
         Variance of the noise of a pixel.
     """
-    views = range(len(splines))
+    values, gradient = drawn(splines, lines, heights)
+    alike(values, noise, options.likeness_px)
+    out = np.zeros((6, *heights.shape), dtype=np.float32)
+    geometry = np.array([lines.of(view) for view in range(len(splines))])
+    in_bands(
+        len(heights), lambda start, stop: _accumulate(values, gradient, geometry, heights, noise, out, start, stop)
+    )
+    return Equations(*out)
+
+
+def drawn(splines: Sequence[Spline], lines: Sightlines, heights: Array) -> tuple[Float, Float]:
+    """Draw all views onto the surface; NaN where a view does not see it.
+
+    Returns
+    -------
+    Values (views, rows, columns), and the mean of their gradients by column and row of the view (2, rows, columns).
+    """
     values = np.empty((len(splines), *heights.shape), dtype=np.float32)
     gradient = np.zeros((2, *heights.shape), dtype=np.float32)
     counts = np.zeros(heights.shape, dtype=np.float32)
-    for view in views:
-        samples = sampled(splines[view], lines, view, heights)
+    for view, spline in enumerate(splines):
+        samples = sampled(spline, lines, view, heights)
         values[view] = np.where(visible(heights, lines, view), samples.values, np.nan)
         known = np.isfinite(values[view])
         counts += known
         gradient[0] += np.where(known, samples.across, 0)
         gradient[1] += np.where(known, samples.down, 0)
     gradient /= np.maximum(counts, 1)
-    alike(values, noise, options.likeness_px)
-    out = np.zeros((6, *heights.shape), dtype=np.float32)
-    geometry = np.array([lines.of(view) for view in views])
-    in_bands(
-        len(heights), lambda start, stop: _accumulate(values, gradient, geometry, heights, noise, out, start, stop)
-    )
-    return Equations(*out)
+    return values, gradient
 
 
 def alike(values: Float, noise: float, sigma_px: float) -> None:

@@ -91,6 +91,15 @@ def slopes(heights: Array) -> tuple[Float, Float]:
     return np.asarray(across), np.asarray(cv2.sepFilter2D(plain, cv2.CV_32F, SMOOTH, ACROSS, borderType=edge))
 
 
+def slopes_transposed(across: Float, down: Float) -> Float:
+    """Apply the transpose of `slopes`, up to the edges of the picture, (rows, columns)."""
+    import cv2
+
+    edge = cv2.BORDER_REFLECT_101
+    out = -cv2.sepFilter2D(across, cv2.CV_32F, ACROSS, SMOOTH, borderType=edge)
+    return np.asarray(out - cv2.sepFilter2D(down, cv2.CV_32F, SMOOTH, ACROSS, borderType=edge))
+
+
 def tones(heights: Array, rotations: Array, reflectance: Reflectance) -> Tones:
     """Work out tones of a surface.
 

@@ -3,11 +3,13 @@
 With W the mean of the views drawn onto the surface, B its brightness on a wide scale and T the tone of the surface
 (`semrecon.dense.reflectance`), the stage minimises over the heights z::
 
-    parallax(z)  +  sum rho(P (W - B T(z)) / s)^2  +  sum w |second differences of z|^2
+    differences(z)  +  sum rho(P (W - B T(z)) / s)^2  +  sum w |second differences of z|^2
 
-P takes the surroundings away: paint, shadows of wide hollows and charging change over many pixels, and there the
-parallax knows better. rho is Cauchy's; s holds the noise of the mean and what the reflectance cannot explain. The
-picture that all views have in common is eliminated within the first term (`semrecon.dense.parallax`).
+The first term holds the differences between the views, with the change of their tone by tilt expected
+(`semrecon.dense.tilt_tones`): without that, they would pull the surface to where shading seems to stand still. The
+picture that all views have in common is eliminated there. P takes the surroundings away: paint, shadows of wide hollows
+and charging change over many pixels, and there parallax knows better. rho is Cauchy's; s holds the noise of the mean
+and what the reflectance cannot explain.
 """
 
 from __future__ import annotations
@@ -20,30 +22,30 @@ import numpy as np
 
 from semrecon.data import Array, Mask, TiltSeries
 from semrecon.dense.coarse_grids import corrected
-from semrecon.dense.parallax import ParallaxOptions, bending, normal_equations, shared
+from semrecon.dense.parallax import ParallaxOptions, bending, shared
 from semrecon.dense.pictures import filled, noise_model
 from semrecon.dense.reflectance import (
-    ACROSS,
     CAUCHY,
-    SMOOTH,
     Reflectance,
     Tones,
     calibrated,
     less_surroundings,
     slopes,
+    slopes_transposed,
     tones,
 )
 from semrecon.dense.sightlines import Sightlines
 from semrecon.dense.smoothness import applied, edge_weights
 from semrecon.dense.spline import Float, Spline, sampled
+from semrecon.dense.tilt_tones import differences, gentle, misfit
 from semrecon.dense.visibility import visible
 from semrecon.matches.features import usable_pixels
 
 BRIGHTNESS_PX = 8.0
 """Standard deviation of the window in which the brightness of a place is measured."""
-STEEPEST = 4.0
-"""Where the surface is steeper than this its tone says little."""
 LEAST_BRIGHTNESS = 1e-3
+BLACK_SHARE = 0.25, 0.85
+"""Twice the root of the electrons at black, in parts of that at the mean grey value: least and most."""
 
 
 @dataclass(frozen=True)
@@ -60,26 +62,22 @@ class ShadingOptions:
         Standard deviation of the mean picture from what the reflectance says, in units of the noise of one view.
     detail_px
         Standard deviation of the surroundings that are taken away: shading says nothing beyond.
-    bend_px
-        Prior of the second difference of heights where shading counts in full: one standard deviation, px. Where it
-        counts nothing the prior is that of parallax.
     edge
         Second difference from which a bend is taken for an edge, in standard deviations of the prior.
-    likeness
-        Correlation between picture and tone of the heights from parallax below which shading counts nothing, and from
-        which it counts in full.
     judged_px
-        Blur under which they are compared, and standard deviation of the window.
+        Standard deviation of the window in which it is judged whether the views agree better on the heights with
+        shading than on those without.
+    better
+        Fall of their misfit, a pixel, from which shading counts in full.
     """
 
-    rounds: int = 4
+    rounds: int = 8
     steps: int = 25
     deviation: float = 2.0
     detail_px: float = 4.0
-    bend_px: float = 2.0
     edge: float = 1.5
-    likeness: tuple[float, float] = (0.4, 0.7)
-    judged_px: tuple[float, float] = (2.5, 12.0)
+    judged_px: float = 12.0
+    better: float = 0.02
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,7 @@ class Shaded:
     heights
         (rows, columns), px.
     trust
-        Weight that shading had, (rows, columns), 0 to 1: where it is 0 near and far, heights are as from parallax.
+        Weight of the heights with shading, (rows, columns), 0 to 1: where it is 0, heights are as from parallax.
     diagnostics
         Side of the detector, mean weight of shading; or why shading was not used.
     """
@@ -120,64 +118,71 @@ def shaded(
     heights
         From parallax, (rows, columns), px; finite.
     everywhere
-        Use shading even where brightness does not follow the heights from parallax.
+        Use shading even where the views agree less on it.
     """
     black = black_level(series)
     if black is None:
         return Shaded(heights, np.zeros(heights.shape, np.float32), {"shading": "noise does not grow with brightness"})
-    rotations = lines.matrices[:, :, :3]
     mean, seen = mean_picture(splines, lines, heights)
-    bright = brightness(mean, black)
-    reflectance = calibrated(mean, bright, seen, heights, rotations)
+    reflectance = calibrated(mean, brightness(mean, black), seen, heights, lines.matrices[:, :, :3])
+    detailed = heights
+    for _ in range(options.rounds):
+        detailed = detailed + step(splines, lines, detailed, reflectance, black, parallax, options)
     trust = np.ones(heights.shape, np.float32)
     if not everywhere:
-        trust = trust_in_shading(mean, bright, seen, heights, rotations, reflectance, options)
-    found = {"detector_side": reflectance.side, "share_by_shading": float(trust.mean())}
-    if trust.any():
-        for _ in range(options.rounds):
-            heights = heights + step(splines, lines, heights, reflectance, black, trust, parallax, options)
-    return Shaded(heights, trust, found)
+        trust = trust_in_shading(splines, lines, heights, detailed, black, parallax, options)
+    found = {"detector_side": reflectance.side, "black_level": black, "share_by_shading": float(trust.mean())}
+    return Shaded(heights + trust * (detailed - heights), trust, found)
 
 
 def trust_in_shading(
-    mean: Float,
-    bright: Float,
-    seen: Mask,
-    heights: Array,
-    rotations: Array,
-    reflectance: Reflectance,
+    splines: Sequence[Spline],
+    lines: Sightlines,
+    plain: Array,
+    detailed: Array,
+    black: float,
+    parallax: ParallaxOptions,
     options: ShadingOptions,
 ) -> Float:
-    """Weigh shading by whether brightness follows the heights from parallax, (rows, columns), 0 to 1.
+    """Weigh heights with shading against those without by how well the views agree on them, (rows, columns), 0 to 1.
 
-    Picture and tone of the heights are correlated over a window, at a size at which the heights can be trusted. Where
-    paint or dirt makes the picture, or the heights are too poor to begin with, they have little in common.
+    A detail that the shading of the mean picture suggests moves what each view shows of it. If the surface has it, the
+    differences between the views become smaller; if it is paint, or a shadow, they grow, or were noise already.
+
+    Parameters
+    ----------
+    plain, detailed
+        Heights without and with shading, (rows, columns), px.
     """
-    blur, window = options.judged_px
-    smooth = shared(heights, blur).astype(np.float64)
-    tone = less_surroundings(bright * tones(smooth, rotations, reflectance).value, seen, 4 * blur)
-    picture = less_surroundings(shared(mean, blur), seen, 4 * blur)
-    both = shared(tone * picture, window)
-    each = np.sqrt(shared(tone**2, window) * shared(picture**2, window)) + 1e-6
-    low, high = options.likeness
-    return np.asarray(np.clip((both / each - low) / (high - low), 0, 1), dtype=np.float32)
+    pairs = ((plain, None), (plain, black), (detailed, black))
+    fits = [misfit(splines, lines, heights, level, parallax) for heights, level in pairs]
+    known = np.asarray(np.isfinite(np.stack(fits)).all(axis=0))
+    share = np.maximum(shared(known, options.judged_px), 1e-3)
+    unshaded, toned, after = (shared(np.where(known, fit, 0), options.judged_px) / share for fit in fits)
+    return np.asarray(np.clip((np.minimum(unshaded, toned) - after) / options.better, 0, 1), dtype=np.float32)
 
 
 def black_level(series: TiltSeries) -> float | None:
     """Find what to add to stabilised grey values to make them twice the root of the number of electrons.
 
-    By photon transfer, mean of all views; None where noise does not grow with the grey value in one of them.
+    By photon transfer, from what the views have in common, within what the mean grey value makes likely: contrast is
+    set so that black is not far below the darkest places. None where noise does not grow with the grey value.
     """
-    levels = []
+    gains, floors, levels = [], [], []
     for view in series.views:
         valid = usable_pixels(view)
         if not valid.any():
             return None
-        noise = noise_model(filled(np.asarray(view.image, dtype=np.float64), valid), valid)
-        if noise.gain <= 0:
-            return None
-        levels.append(2 * np.sqrt(noise.floor) / noise.gain)
-    return float(np.mean(levels))
+        image = filled(np.asarray(view.image, dtype=np.float64), valid)
+        noise = noise_model(image, valid)
+        gains.append(noise.gain)
+        floors.append(noise.floor)
+        levels.append(float(noise.stabilised(image)[valid].mean()))
+    gain, floor, level = (float(np.median(each)) for each in (gains, floors, levels))
+    if gain <= 0:
+        return None
+    least, most = (share / (1 - share) * level for share in BLACK_SHARE)
+    return float(np.clip(2 * np.sqrt(floor) / gain, least, most))
 
 
 def mean_picture(splines: Sequence[Spline], lines: Sightlines, heights: Array) -> tuple[Float, Mask]:
@@ -202,27 +207,25 @@ def step(
     heights: Array,
     reflectance: Reflectance,
     black: float,
-    trust: Float,
     parallax: ParallaxOptions,
     options: ShadingOptions,
 ) -> Array:
     """One Gauss-Newton step, (rows, columns), px."""
-    equations = normal_equations(splines, lines, heights, 1.0, parallax)
-    information = shared(equations.information, parallax.window_px).astype(np.float64)
+    by_views = differences(splines, lines, heights, black, parallax)
     bend = bending(heights, parallax)
-    bend += trust * (np.maximum(bend, options.bend_px) - bend)
     weights = edge_weights(heights, options.edge * bend) / bend**2
     mean, seen = mean_picture(splines, lines, heights)
-    shading = linearised(mean, seen, black, heights, reflectance, trust, lines.matrices[:, :, :3], options)
+    shading = linearised(mean, seen, black, heights, reflectance, lines.matrices[:, :, :3], options)
     bent, zero = np.zeros_like(weights), np.zeros_like(heights)
-    right = shared(equations.right, parallax.window_px) + shading.transposed(shading.weight * shading.residual)
+    right = by_views.asked() + shading.transposed(shading.weight * shading.residual)
     right = right - applied(zero, weights, heights, bent)
+    information = by_views.heights
 
     def system(z: Array) -> Array:
         by_shading = shading.transposed(shading.weight * shading.change(z))
-        return np.asarray(applied(information, weights, z, bent) + by_shading)
+        return np.asarray(applied(information, weights, z, bent) + by_views.by_slopes(z) + by_shading)
 
-    diagonal = information + 6 * weights.sum(axis=0) + shading.diagonal() + 1e-6
+    diagonal = information + 6 * weights.sum(axis=0) + by_views.diagonal() + shading.diagonal() + 1e-6
     change = corrected(system, right, information, weights, diagonal, steps=options.steps)
     limit = 0.7 / max(float(np.abs(lines.parallax()).max()), 1e-6)  # the linearisation holds for part of a pixel
     return np.clip(change, -limit, limit)
@@ -267,14 +270,9 @@ class Linearised:
 
     def transposed(self, picture: Float) -> Float:
         """Apply the transpose of `change`, up to the edges of the picture."""
-        import cv2
-
         picture = np.where(self.seen, picture, 0)
         picture = picture - np.where(self.seen, shared(picture / self.share, self.detail_px), 0)
-        edge = cv2.BORDER_REFLECT_101
-        across, down = self.tone.across * picture, self.tone.down * picture
-        out = -cv2.sepFilter2D(across, cv2.CV_32F, ACROSS, SMOOTH, borderType=edge)
-        out -= cv2.sepFilter2D(down, cv2.CV_32F, SMOOTH, ACROSS, borderType=edge)
+        out = slopes_transposed(self.tone.across * picture, self.tone.down * picture)
         for bend, reach in zip(self.tone.bends, self.reaches_px, strict=True):
             part = bend * picture
             out += part - shared(part, reach)
@@ -292,7 +290,6 @@ def linearised(
     black: float,
     heights: Array,
     reflectance: Reflectance,
-    trust: Float,
     rotations: Array,
     options: ShadingOptions,
 ) -> Linearised:
@@ -302,6 +299,6 @@ def linearised(
     grey = Tones(bright * tone.value, bright * tone.across, bright * tone.down, tuple(bright * b for b in tone.bends))
     residual = less_surroundings(mean - grey.value, seen, options.detail_px)
     robust = np.where(seen, 1 / (1 + (residual / (CAUCHY * options.deviation)) ** 2), 0) / options.deviation**2
-    weight = np.asarray(trust * np.where(np.hypot(*slopes(heights)) < STEEPEST, robust, 0), dtype=np.float32)
+    weight = np.asarray(gentle(heights) * robust, dtype=np.float32)
     share = np.asarray(np.maximum(shared(seen, options.detail_px), 1e-3), dtype=np.float32)
     return Linearised(grey, reflectance.reaches_px, seen, share, residual, weight, options.detail_px)
