@@ -7,6 +7,7 @@ import typer
 from semrecon.commands.compare import compare
 from semrecon.commands.info import info
 from semrecon.commands.methods import methods
+from semrecon.commands.predict import predict
 from semrecon.commands.reconstruct import reconstruct
 
 app = typer.Typer(
@@ -17,7 +18,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (reconstruct, info, methods, compare):
+for command in (reconstruct, info, methods, compare, predict):
     app.command()(command)
 
 

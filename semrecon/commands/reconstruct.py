@@ -102,8 +102,8 @@ def reconstruct(
         chosen = _method(method, refine, tilt_sigma_deg, settings or [])
         with progress() as tell:
             tell("reading images")
-            distance_um = None if working_distance_mm is None else _positive_um(working_distance_mm)
-            angles = _angles(tilts)
+            distance_um = None if working_distance_mm is None else positive_um(working_distance_mm)
+            angles = angles_in(tilts)
             needed = "rotations" in chosen.needs
             stated = Stated(angles, pixel_size_um, tilt_axis_deg, flip_tilt, crop_bottom, distance_um, needed)
             intake = take_in(inputs, stated)
@@ -172,8 +172,8 @@ def _with_later_views(
     return with_later_views(result, pose_later_views(result, images, np.random.default_rng([seed, LATER_STREAM])))
 
 
-def _angles(text: str | None) -> tuple[float, ...] | None:
-    """Comma-separated angles."""
+def angles_in(text: str | None) -> tuple[float, ...] | None:
+    """Read angles with commas between, deg."""
     if text is None:
         return None
     try:
@@ -182,7 +182,8 @@ def _angles(text: str | None) -> tuple[float, ...] | None:
         raise InputError(f"--tilts must be angles in degrees with commas between, as -9,-6,-3, not {text!r}") from None
 
 
-def _positive_um(working_distance_mm: float) -> float:
+def positive_um(working_distance_mm: float) -> float:
+    """Turn the working distance from mm into um; raises `InputError` unless it is positive."""
     if not (math.isfinite(working_distance_mm) and working_distance_mm > 0):
         raise InputError(f"--working-distance-mm must be a positive number, not {working_distance_mm:g}")
     return 1000 * working_distance_mm
