@@ -6,6 +6,7 @@ import sys
 
 import typer
 
+from benchmarks.commands.bars import bars
 from benchmarks.commands.baselines import baselines
 from benchmarks.commands.compare import compare
 from benchmarks.commands.gallery import gallery
@@ -26,7 +27,7 @@ def bench() -> None:
     """Put reconstructions from SEM tilt series against truth and against the physical limit."""
 
 
-for command in (run, compare, scene, score, sweep, plan, report, record, gallery, paper, baselines):
+for command in (run, compare, scene, score, sweep, plan, report, record, gallery, paper, bars, baselines):
     app.command()(command)
 
 if __name__ == "__main__":
