@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks.adapt import series_from_capture
 from benchmarks.judging.evaluate import commonly_visible
+from benchmarks.running.read_only import can_be_written
 from benchmarks.running.runner import code_version, digest, seed_of
 from semrecon.data import Array, Mask, TiltSeries
 from semrecon.geometry import tilt_rotation
@@ -98,7 +99,9 @@ class SimulatedSource:
         return self.cache / f"{self.name}-{digest(tables(self.scene), code_version('semsim'))}.pickle"
 
     def surfaces(self) -> Surfaces:
-        """Read the prepared surfaces of the scene from the cache, or make them."""
+        """Read the prepared surfaces of the scene from the cache, or make them; a read-only cache stays as it is."""
+        if not self._path.is_file() and not can_be_written(self.cache):
+            return _made(self)
         self.prepare()
         return _loaded(self._path)
 
@@ -108,6 +111,11 @@ def _loaded(path: Path) -> Surfaces:
     surfaces = pickle.loads(path.read_bytes())  # written by `prepare` in this very folder
     assert isinstance(surfaces, Surfaces)
     return surfaces
+
+
+@lru_cache(maxsize=1)
+def _made(source: SimulatedSource) -> Surfaces:
+    return prepare(source.scene)
 
 
 @lru_cache(maxsize=1)

@@ -10,6 +10,7 @@ from semrecon.errors import MethodError
 from semrecon.matches.correspondence import CorrespondenceOptions
 from semrecon.matches.features import FeatureOptions
 from semrecon.matches.phase_correlation import phase_shift
+from semrecon.numerics.history import histories
 from semrecon.output.glance import noise_px, pair_matrices, view_tilts
 from semrecon.pose.alignment import align, connected_views
 from semrecon.reconstruction import Reconstruction
@@ -58,6 +59,9 @@ def test_what_is_known_of_the_cameras_is_told_in_the_shape_that_the_summary_page
     heights = HeightMap(np.zeros(SHAPE), np.zeros(SHAPE), 0.5)
     mesh = SurfaceMesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
     estimate = Estimate(poses=found.poses, diagnostics={"alignment": told})
+    (history,) = histories(estimate.diagnostics)
+    assert history["stage"] == "bundle adjustment of the cameras"
+    assert history["residual_px"][-1] == pytest.approx(told["sigma_px"], rel=0.5)  # less what is fitted
     result = Reconstruction(series, "dense_multiview", {}, estimate, found.points, heights, mesh)
     tilts = view_tilts(result)
     np.testing.assert_array_equal(tilts.sigma_deg, told["tilt_sigma_deg"])

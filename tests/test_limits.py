@@ -12,7 +12,6 @@ from benchmarks.judging.limits import (
     LimitOptions,
     Parallax,
     bound_summary,
-    depth_bound_um,
     depth_information,
     gradient,
     median_abs_of_normals,
@@ -195,7 +194,7 @@ def test_dose_views_spot_and_noise_move_the_limit_as_they_must(surfaces: Surface
 
 
 def test_the_map_is_missing_where_nothing_is_seen(surfaces: Surfaces) -> None:
-    bound = depth_bound_um(surfaces, LimitOptions(3.0))
+    bound = windowed_sigma_um(depth_information(parallaxes(surfaces, None), LimitOptions(3.0)), 3.0)
     assert bound.shape == surfaces.scene.microscope.shape
     nowhere = ~np.isfinite(surfaces.truth.correspondence(0, 1)[..., 0]) & ~np.isfinite(
         surfaces.truth.correspondence(0, 2)[..., 0]

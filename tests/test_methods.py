@@ -13,6 +13,7 @@ from semrecon.errors import InputError, MethodError
 from semrecon.geometry import project, rotations_from_tilts
 from semrecon.matches.correspondence import CorrespondenceOptions, match_adjacent_pairs
 from semrecon.methods import METHODS, Disparity, DisparityIcp, KnownRotation, method_named
+from semrecon.numerics.history import histories
 
 OPTICS = Optics(0.1, 220, 180)
 SHIFTS_PX = np.array([[0.0, 0.0], [4.25, -9.5], [-7.0, 3.5], [11.0, 6.25]])
@@ -137,6 +138,9 @@ def test_the_published_form_gives_clouds_in_their_first_views_frames():
     assert len(estimate.points) == sum(len(cloud) for cloud in estimate.clouds)
     assert np.median(np.abs(depth_error_um(estimate.points))) < 0.25
     assert estimate.diagnostics["registration_rmse_um"] > 0
+    (told,) = histories(estimate.diagnostics)
+    assert told["stage"] == "ICP, pair 1-2 to the pair before"
+    assert told["residual_px"][-1] == pytest.approx(estimate.diagnostics["registration_rmse_um"] / 0.1)
 
 
 def test_registration_takes_the_reference_view_as_origin_wherever_it_stands():

@@ -17,6 +17,7 @@ from semrecon.matches.features import FeatureOptions, detect_features
 from semrecon.matches.unguided_matching import UnguidedOptions
 from semrecon.methods.affine_factorization import AffineFactorization
 from semrecon.methods.multiview_sfm import MultiviewSfm
+from semrecon.numerics.history import histories
 from semsim.capture import simulate
 from semsim.scene import scaled
 from semsim.scenes import scene
@@ -50,6 +51,8 @@ def test_points_lie_on_the_bump():
     assert np.median(np.abs(errors)) < 0.08
     assert found().diagnostics["tilts_deg"] == pytest.approx([0, -7, 10, 20], abs=0.5)
     assert found().diagnostics["magnifications"] == pytest.approx(1, abs=0.01)
+    (told,) = histories(found().diagnostics)
+    assert told["residual_px"][-1] == pytest.approx(found().diagnostics["sigma_px"], rel=0.5)  # less what is fitted
 
 
 def test_points_project_to_where_they_were_seen():

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 import benchmarks.reporting.report
 from benchmarks.__main__ import app
+from benchmarks.reporting.convergence_figure import LEAST_PX, convergence_plot
 from benchmarks.reporting.report import content, rendered
 from benchmarks.reporting.report_figures import BOUND, ERRORS, HEIGHTS, MISSING, coloured, error_curves
 from benchmarks.reporting.report_scenes import ABSENT, CHANGED, drawn_answer, truth_of
@@ -32,6 +33,7 @@ from benchmarks.scenes import SimulatedSource
 from benchmarks.suite import BenchScene
 from semrecon.data import Estimate, HeightMap
 from semrecon.errors import InputError
+from semrecon.numerics.history import CONVERGENCE, history
 from semsim.microscope import Microscope, TiltSchedule
 from semsim.scene import Scene
 from semsim.specimens import specimen_from
@@ -39,6 +41,8 @@ from tests import chromium
 
 HOSTILE = '</script><script>document.title = "taken"</script><img src=x onerror="document.title=1"> & "quoted"'
 LIMITS = Limits(5.0, 1.0)
+HALVING = [*(0.5 + 2.0**-step for step in range(20)), 0.5 + 2.0**-19]
+"""Residuals that near 0.5 px by halves, and then stay."""
 LEGEND_IS_CLEAR = """plot => {
   const box = what => plot.querySelector(what)?.getBoundingClientRect();
   const names = box('.legend'), title = box('.xtitle'), whole = box('.main-svg');
@@ -89,7 +93,9 @@ def answer_to(case: Case) -> Answer:
     if case.method.name not in heights or (case.scene.name == "elsewhere" and case.method.name == "half_done"):
         return Answer(case.key, "refused", HOSTILE)
     z_um = heights[case.method.name]
-    return Answer(case.key, seconds=1.5, peak_mib=20.0, estimate=packed(Estimate(heights=HeightMap(z_um, z_um, 0.6))))
+    kept = {CONVERGENCE: [history(HOSTILE, HALVING), history("other", HALVING[:3])]}
+    estimate = Estimate(heights=HeightMap(z_um, z_um, 0.6), diagnostics=kept if case.method.name == "wavy_one" else {})
+    return Answer(case.key, seconds=1.5, peak_mib=20.0, estimate=packed(estimate))
 
 
 @dataclass(frozen=True)
@@ -245,6 +251,24 @@ def test_the_limit_stands_in_every_plot(ran: Ran) -> None:
     assert "Gaussian window of 3 px" in Reader(rendered(found)).text
 
 
+def test_convergence_is_drawn_for_who_kept_a_history_and_for_nobody_else(ran: Ran) -> None:
+    found = content(ran.folder, [], quiet)
+    figures = {each.name: each.convergence for each in found.sections}
+    assert figures["elsewhere"] is None
+    assert figures["grain"] is not None
+    long, short = figures["grain"]["data"]
+    assert {each["name"] for each in (long, short)} == {"wavy_one"}
+    np.testing.assert_allclose(long["y"][:-1], [2.0**-step for step in range(1, 20)], rtol=1e-3)
+    assert long["y"][-1] == LEAST_PX  # what stays is no hole in the curve
+    assert long["x"] == list(range(1, 21))
+    assert short["x"] == [1, 2]
+    assert long["legendgroup"] == short["legendgroup"]
+    assert ("showlegend" in long, short["showlegend"]) == (False, False)
+    curves = next(each.curves for each in found.sections if each.curves)
+    assert next(each for each in curves["data"] if each["name"] == "wavy_one")["line"] == long["line"]  # one colour
+    assert convergence_plot({"one": ()}, {"one": 0}) is None
+
+
 def test_pictures_are_left_out_where_they_would_not_be_those_of_the_run(
     ran: Ran, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -385,6 +409,10 @@ def test_a_browser_shows_all_without_complaint_or_overflow(
         browser.ask(f"document.querySelectorAll('.plot')[{number}].scrollIntoView({{behavior: 'instant'}})")
         browser.wait(f"document.querySelectorAll('.plot')[{number}].querySelector('.main-svg') !== null")
     assert browser.ask(f"[...document.querySelectorAll('.plot')].every({LEGEND_IS_CLEAR})")
+    assert browser.ask("document.querySelectorAll('#convergence-grain .scatterlayer .trace').length") == 2
+    assert browser.ask("document.querySelectorAll('#convergence-grain .legend .traces').length") == 1
+    ticks = "[...document.querySelectorAll('#convergence-grain .ytick')].map(each => each.textContent)"
+    assert all(each.startswith("10") or each == "1" for each in browser.ask(ticks))  # powers of ten alone
     browser.wait("[...document.images].every(each => { each.loading = 'eager'; return each.complete; })")
     assert browser.ask("[...document.images].every(each => each.naturalWidth > 0)")
     assert browser.ask("document.images.length") == 3 + 2 * 3
@@ -444,14 +472,15 @@ def test_the_overview_shows_the_metric_that_is_chosen(wide: chromium.Chromium) -
     assert np.isnan(ratios["fails"])
 
 
-def test_a_drag_zooms_a_plot(wide: chromium.Chromium) -> None:
-    wide.ask("document.querySelector('#sweep-1-1').scrollIntoView({behavior: 'instant', block: 'center'})")
-    wide.wait("document.querySelector('#sweep-1-1 .nsewdrag') !== null")
-    span = "(range => range[1] - range[0])(document.querySelector('#sweep-1-1')._fullLayout.xaxis.range)"
+@pytest.mark.parametrize("plot", ["#sweep-1-1", "#convergence-grain"])
+def test_a_drag_zooms_a_plot(wide: chromium.Chromium, plot: str) -> None:
+    wide.ask(f"document.querySelector('{plot}').scrollIntoView({{behavior: 'instant', block: 'center'}})")
+    wide.wait(f"document.querySelector('{plot} .nsewdrag') !== null")
+    span = f"(range => range[1] - range[0])(document.querySelector('{plot}')._fullLayout.xaxis.range)"
     before = wide.ask(span)
     x, y, width, height = wide.ask(
         "(box => [box.x, box.y, box.width, box.height])"
-        "(document.querySelector('#sweep-1-1 .nsewdrag').getBoundingClientRect())"
+        f"(document.querySelector('{plot} .nsewdrag').getBoundingClientRect())"
     )
     wide.drag((x + 0.25 * width, y + 0.25 * height), (x + 0.75 * width, y + 0.75 * height))
     wide.wait(f"{span} < {0.9 * before}")

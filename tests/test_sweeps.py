@@ -252,6 +252,7 @@ def test_a_bad_file_of_a_sweep_is_a_sentence(tmp_path: Path, text: str, said: st
         (["dose", "spot", "tilt"], "one axis or two"),
         (["dose", "--values", "1,x"], "not a list of numbers"),
         (["dose", "--values", "-3"], "sweep dose at -3"),
+        (["dose", "--values", "-3", "--methods", "oracle_matches"], "sweep dose at -3"),
         (["dose", "--methods", "magic"], "names no method 'magic'"),
     ],
 )

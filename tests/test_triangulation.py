@@ -16,7 +16,6 @@ from semrecon.points import beams
 from semrecon.points.translation import solve_closed_form
 from semrecon.points.triangulation import (
     pair_cloud,
-    projection_matrix,
     residuals_px,
     triangulate,
 )
@@ -39,20 +38,6 @@ def sightings(xyz: Array, poses: Poses, optics: Optics) -> Array:
 
 def points(n: int = 200, seed: int = 0) -> Array:
     return np.random.default_rng(seed).uniform(-30, 30, (n, 3))
-
-
-@BOTH
-def test_projection_matrix_projects(optics: Optics) -> None:
-    poses, xyz = poses_at([0, 20], 35), points()
-    for r, t in zip(poses.rotations, poses.translations_um, strict=True):
-        homogeneous = np.column_stack([xyz, np.ones(len(xyz))]) @ projection_matrix(r, t, optics).T
-        np.testing.assert_allclose(homogeneous[:, :2] / homogeneous[:, 2:], project(xyz, r, t, optics), atol=1e-9)
-
-
-def test_parallel_projection_matrix_has_the_last_row_of_the_seed() -> None:
-    matrix = projection_matrix(np.eye(3), np.array([1.0, 2.0, 5.0]), PARALLEL)
-    a, (u0, v0) = 1 / PARALLEL.pixel_size_um, PARALLEL.centre_px
-    np.testing.assert_allclose(matrix, [[a, 0, 0, a + u0], [0, a, 0, 2 * a + v0], [0, 0, 0, 1]])
 
 
 @BOTH

@@ -29,6 +29,7 @@ def compare(
     with one_sentence():
         from benchmarks.reporting.paired_sides import Asked, compare_methods, compare_runs, is_run
         from benchmarks.reporting.paired_tables import FILES, markdown, write_csv
+        from benchmarks.running import read_only
         from semrecon.errors import InputError
         from semrecon.folder import check_target, whole_folder
 
@@ -37,6 +38,7 @@ def compare(
 
         if out is not None:
             check_target(out, ours)
+            read_only.check_target("--out", out)
         asked = Asked(*(tuple(split_names(text)) for text in (scenes, method, metric)))
         folders = [is_run(name) for name in (first, second)]
         if any(folders) and not all(folders):

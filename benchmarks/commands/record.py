@@ -27,6 +27,7 @@ def record(
 ) -> None:
     """Write recordings for the rerun viewer, one a scene of a run or one of a sweep; no method is called."""
     with one_sentence():
+        from benchmarks.running.read_only import check_target
         from semrecon.errors import InputError
 
         if run is not None and sweep is not None:
@@ -37,6 +38,7 @@ def record(
         target = out or folder / "recordings"
         if target.exists() and not target.is_dir():
             raise InputError(f"--out {target} is a file; name a folder for the recordings")
+        check_target("--out", target, folder=True)
         with progress() as bar:
             names = split_names(methods)
             written = (

@@ -50,6 +50,7 @@ def sweep(
     with one_sentence():
         from benchmarks.running.bench import LEDGER, alone, check_out, contenders
         from benchmarks.running.bench_ledger import BenchLedger
+        from benchmarks.running.case import needs_of
         from benchmarks.running.cell import Limits
         from benchmarks.running.manifest import SWEEP_MANIFEST, manifest_of, write_manifest
         from benchmarks.suite import Purpose
@@ -62,7 +63,7 @@ def sweep(
         picked = contenders(split_names(methods) or asked.get("methods", split_names(DEFAULT_METHODS)))
         purpose: Purpose = "development" if development else "reporting"
         name, width = scene or asked.get("scene", "fracture_rough"), columns or asked.get("columns", 427)
-        channels = any("channels" in method.needs for method in picked)
+        channels = any("channels" in needs_of(method) for method in picked)
         base = base_scene(name, folder / "cache", columns=width, purpose=purpose, channels=channels)
         theory = TheoryOptions(matching_noise_px, window_px)
         repetitions = seeds or asked.get("repetitions", 3)

@@ -97,24 +97,6 @@ class BoundSummary:
         return median_abs_error_um / self.median_abs_um
 
 
-def depth_bound_um(
-    surfaces: Surfaces, options: LimitOptions | None = None, views: Sequence[int] | None = None
-) -> Array:
-    """Least standard deviation of height at each pixel of the reference view, um.
-
-    Parameters
-    ----------
-    views
-        Those that are used beside the reference; all by default.
-
-    Returns
-    -------
-    (rows, columns); NaN where the reference or every other view sees nothing.
-    """
-    options = options or LimitOptions()
-    return windowed_sigma_um(depth_information(parallaxes(surfaces, views), options), options.window_px)
-
-
 def bound_summary(
     surfaces: Surfaces, options: LimitOptions | None = None, views: Sequence[int] | None = None
 ) -> BoundSummary:

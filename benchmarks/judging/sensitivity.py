@@ -4,7 +4,7 @@ In the frame across the tilt axis, a point (x, z) is seen by view v at ``u_v = x
 over the views makes z a weighted sum of the positions, ``z = sum_v k_v u_v``, with ``sum_v k_v cos t_v = 0`` and
 ``sum_v k_v sin t_v = 1``. So whatever displaces the picture of view v by e_v raises the depth by ``sum_v k_v e_v``, and
 independent noise of standard deviation sigma by ``|k| sigma``. For two views, 0 and t: k = (-cot t, 1 / sin t).
-A constant is gauge. Everything below is this one sentence with another e_v.
+A constant is gauge. `systematic_error_um` is this one sentence with all the e_v of a scene.
 """
 
 from __future__ import annotations
@@ -59,39 +59,6 @@ def noise_gain(tilts_deg: Sequence[float]) -> float:
     return float(np.linalg.norm(depth_weights(tilts_deg)))
 
 
-def tilt_error_um(tilts_deg: Sequence[float], errors_deg: Sequence[float], x_um: Array, z_um: Array) -> Array:
-    """Depth error from true minus stated tilts: ``sum_v k_v (z cos t_v - x sin t_v) d t_v``, to first order.
-
-    For two views, the first without error, the depth is scaled by ``1 + cot(t) d t`` and its plane tipped by ``d t``.
-    """
-    tilts, errors = np.deg2rad(tilts_deg), np.deg2rad(errors_deg)
-    weights = depth_weights(tilts_deg) * errors
-    return np.asarray(z_um * (weights @ np.cos(tilts)) - x_um * (weights @ np.sin(tilts)))
-
-
-def magnification_error_um(tilts_deg: Sequence[float], errors: Sequence[float], x_um: Array, z_um: Array) -> Array:
-    """Depth error from true over stated magnification, minus 1, of each view: ``sum_v k_v m_v u_v``."""
-    return np.asarray(_positions(tilts_deg, x_um, z_um) @ (depth_weights(tilts_deg) * np.asarray(errors)))
-
-
-def rotation_error_um(tilts_deg: Sequence[float], errors_deg: Sequence[float], y_um: Array) -> Array:
-    """Depth error from pictures turned counter-clockwise: ``-sum_v k_v sin(r_v) y``, y along the axis."""
-    return np.asarray(-y_um * (depth_weights(tilts_deg) @ np.sin(np.deg2rad(errors_deg))))
-
-
-def drift_error_um(tilts_deg: Sequence[float], drifts_px: Sequence[float], pixel_size_um: float, share: Array) -> Array:
-    """Depth error from a drift of the beam across the tilt axis during each frame.
-
-    Parameters
-    ----------
-    drifts_px
-        From the first line to the last of each view. What all views have alike cancels only in part: sum k is not 0.
-    share
-        Place of the line in the frame, -0.5 for the first to 0.5 for the last. The picture goes against the beam.
-    """
-    return np.asarray(-share * (depth_weights(tilts_deg) @ np.asarray(drifts_px)) * pixel_size_um)
-
-
 def systematic_error_um(surfaces: Surfaces) -> Array:
     """Depth error that stage, column and scan of a scene leave in a perfect match, (rows, columns), um.
 
@@ -130,9 +97,3 @@ def predicted(surfaces: Surfaces, matching_noise_px: float) -> Predicted:
     return Predicted(
         float(np.median(np.abs(total))), float(np.hypot(error.std(), sigma)), float(np.sqrt(np.mean(error**2)))
     )
-
-
-def _positions(tilts_deg: Sequence[float], x_um: Array, z_um: Array) -> Array:
-    """Place of points across the axis in each view, um, (..., views)."""
-    tilts = np.deg2rad(np.asarray(tilts_deg, dtype=np.float64))
-    return np.asarray(np.multiply.outer(x_um, np.cos(tilts)) + np.multiply.outer(z_um, np.sin(tilts)))

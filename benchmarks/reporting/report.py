@@ -18,6 +18,7 @@ from benchmarks.running.bench import LEDGER, Report
 from benchmarks.running.bench_ledger import BenchLedger, Result
 from benchmarks.running.bounds import reasons
 from benchmarks.running.manifest import Manifest, MethodRecord, commit, read_manifest
+from benchmarks.running.read_only import check_target
 from benchmarks.suite import BenchScene, suite
 from semrecon.errors import InputError
 
@@ -79,6 +80,7 @@ def write_report(run: Path, out: Path, sweeps: Sequence[Path], report: Report) -
     """
     if out.is_dir():
         raise InputError(f"--out {out} is a folder; name a file, such as {out / PAGE}")
+    check_target("--out", out)
     page = rendered(content(run, sweeps, report)).encode()
     out.parent.mkdir(parents=True, exist_ok=True)
     partial = out.with_name(f"{out.name}.{os.getpid()}.partial")
@@ -140,7 +142,7 @@ def rendered(found: Content) -> str:
         "words": words,
         "breakable": breakable,
     }
-    figures = [each.curves for each in found.sections if each.curves]
+    figures = [figure for each in found.sections for figure in (each.curves, each.convergence) if figure]
     figures += [found.distances] if found.distances else []
     figures += [figure for sweep in found.sweeps for _, figure in sweep.figures]
     return environment.get_template("report.html").render(

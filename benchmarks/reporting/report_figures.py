@@ -128,7 +128,7 @@ def error_curves(
     """
     data = [_limit_curve(limit)] if limit is not None and not limit.reason else []
     for name, errors in errors_um.items():
-        colour, dash = _style(places[name])
+        colour, dash = style_of(places[name])
         known = np.abs(errors[np.isfinite(errors)])
         if not known.size:
             continue
@@ -159,7 +159,7 @@ def distance_plot(ratios: Mapping[str, Sequence[float]], scenes: Sequence[str], 
     names = list(scenes)
     data: list[dict[str, Any]] = [{"x": names, "y": [1.0] * len(names), "name": BOUND, "mode": "lines", "line": line}]
     for name, values in ratios.items():
-        colour, dash = _style(places[name])
+        colour, dash = style_of(places[name])
         marker = {"color": colour, "size": 9, "symbol": SYMBOLS[DASHES.index(dash)]}
         y = numbers(np.asarray(values, dtype=np.float64))
         data.append({"x": names, "y": y, "name": name, "mode": "markers", "marker": marker})
@@ -185,7 +185,7 @@ def share_axis(title: str) -> dict[str, Any]:
 
 def curve_with_band(name: str, number: int, x: Array, y: Array, low: Array, high: Array) -> list[dict[str, Any]]:
     """Draw a curve, marked at its points, with its interval as bars where there is one."""
-    colour, dash = _style(number)
+    colour, dash = style_of(number)
     up, down = (np.nan_to_num(np.abs(end - y)) for end in (high, low))
     bars = {"type": "data", "symmetric": False, "array": numbers(up), "arrayminus": numbers(down), "thickness": 1.2}
     style = {"color": colour, "dash": dash, "width": 2}
@@ -217,7 +217,8 @@ def plotly_packed() -> str:
     return base64.b64encode(gzip.compress(get_plotlyjs().encode(), 9, mtime=0)).decode("ascii")
 
 
-def _style(number: int) -> tuple[str, str]:
+def style_of(number: int) -> tuple[str, str]:
+    """Colour and dash of a method by its number, the same in all figures."""
     return CURVES[number % len(CURVES)], DASHES[number // len(CURVES) % len(DASHES)]
 
 

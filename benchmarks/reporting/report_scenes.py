@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmarks.judging.efficiency import SceneLimit
 from benchmarks.judging.judge import filled, grid_um
+from benchmarks.reporting.convergence_figure import History, convergence_plot
 from benchmarks.reporting.leaderboard import MARK, Entry
 from benchmarks.reporting.report_figures import (
     Figure,
@@ -26,6 +27,7 @@ from benchmarks.running.stored import unpacked
 from benchmarks.suite import BenchScene
 from semrecon.data import Array, Mask, TiltSeries
 from semrecon.judging.gauge import gauge_fit, gauge_residual
+from semrecon.numerics.history import histories
 
 HELD_PERCENT = 90.0
 """The colours of errors end where so many percent of the errors of the middle method do."""
@@ -64,14 +66,24 @@ class Section:
     limit: SceneLimit | None = None
     limit_map: Panel | None = None
     curves: Figure | None = None
+    convergence: Figure | None = None
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """What is drawn of an answer, on the grid of the reference view, um: heights without their gauge, and errors."""
+    """What is drawn of an answer.
+
+    Parameters
+    ----------
+    heights_um, errors_um
+        On the grid of the reference view: heights without their gauge, and errors.
+    histories
+        How its iterations converged, where the method keeps that.
+    """
 
     heights_um: Array
     errors_um: Array
+    histories: tuple[History, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -115,7 +127,9 @@ def section(
     limit_um = error_limit([each.errors_um for each in drawn.values()])
     cards = tuple(_card(entry, drawn.get(name_of(entry)), truth, (levels[0], levels[1]), limit_um) for entry in entries)
     reference, size = truth.series.views[truth.series.reference], truth.series.optics.pixel_size_um
-    curves = {entry.method: drawn[name_of(entry)].errors_um for entry in entries if name_of(entry) in drawn}
+    answered = {entry.method: drawn[name_of(entry)] for entry in entries if name_of(entry) in drawn}
+    curves = {name: each.errors_um for name, each in answered.items()}
+    iterated = {name: each.histories for name, each in answered.items()}
     numbers = {name: number for number, name in enumerate(methods)}
     places = {entry.method: numbers[name_of(entry)] for entry in entries}
     return Section(
@@ -129,6 +143,7 @@ def section(
         limit,
         None if limit is None or limit.reason else limit_panel(limit.sigma_um, size, f"Limit of {record.name}"),
         error_curves(curves, int(truth.judged.sum()), places, limit) if curves else None,
+        convergence_plot(iterated, places),
     )
 
 
@@ -157,7 +172,7 @@ def drawn_answer(blob: bytes, truth: Truth, gauge: Sequence[str]) -> Drawn | Non
     fit = gauge_fit(heights.z_um, truth.wanted_um, declared, xy, "absolute", narrower=False)  # type: ignore[arg-type]
     errors = gauge_residual(heights.z_um, truth.wanted_um, declared, xy, "absolute")  # type: ignore[arg-type]
     aligned = heights.z_um if fit is None else fit.error(heights.z_um, np.zeros(truth.judged.shape), xy)
-    return Drawn(aligned, errors)
+    return Drawn(aligned, errors, tuple(histories(estimate.diagnostics)))
 
 
 def error_limit(errors_um: Sequence[Array]) -> float:

@@ -14,6 +14,7 @@ from typing import Any
 from benchmarks.running.bench_ledger import BenchLedger, Result
 from benchmarks.running.case import ORACLE, Case, cases, judge_version, run_case, score
 from benchmarks.running.cell import Limits
+from benchmarks.running.read_only import can_be_written
 from benchmarks.running.runner import completed
 from benchmarks.suite import BenchScene
 from semrecon.errors import InputError
@@ -38,7 +39,7 @@ class Plan:
         return cases(self.scenes, self.methods, self.repetitions)
 
 
-def contenders(names: Sequence[str]) -> tuple[Any, ...]:
+def contenders(names: Sequence[str], option: str = "--methods") -> tuple[Any, ...]:
     """Pick methods and oracles by name, all if none is named; raises `InputError` for a name that is none."""
     from semrecon.methods import all_methods
 
@@ -46,7 +47,7 @@ def contenders(names: Sequence[str]) -> tuple[Any, ...]:
     wanted = [name.replace("-", "_") for name in names]
     for name in wanted:
         if name not in known:
-            raise InputError(f"--methods names no method {name!r}; there are {', '.join(known)}")
+            raise InputError(f"{option} names no method {name!r}; there are {', '.join(known)}")
     return tuple(known[name] for name in wanted) if wanted else tuple(known.values())
 
 
@@ -100,6 +101,8 @@ def check_out(out: Path) -> None:
 @contextmanager
 def alone(out: Path) -> Iterator[None]:
     """Hold the lock of a results folder; a second run there is refused, and a killed one leaves nothing locked."""
+    if not can_be_written(out):
+        raise InputError(f"--out {out} cannot be written; name another folder for the results")
     out.mkdir(parents=True, exist_ok=True)
     with (out / LOCK).open("a+", encoding="ascii") as file:
         try:

@@ -16,6 +16,7 @@ import numpy as np
 from benchmarks.judging.efficiency import SceneLimit
 from benchmarks.running.case import Answer, Case, Outcome
 from benchmarks.running.cell import Limits
+from benchmarks.running.read_only import can_be_written, check_frozen, connect_frozen
 from semrecon.data import Array
 from semrecon.errors import InputError
 
@@ -84,17 +85,27 @@ class Result:
 
 
 class BenchLedger:
-    """Answers and scores in one SQLite file (WAL), a transaction a case; what was said to be there survives a kill."""
+    """Answers and scores in one SQLite file (WAL), a transaction a case; what was said to be there survives a kill.
+
+    In a folder that cannot be written it is opened for reading, and leaves nothing beside it.
+    """
 
     def __init__(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
         self.path = path
+        self.frozen = path.is_file() and not can_be_written(path.parent)
         try:
-            with self._connection() as connection:
-                connection.execute("PRAGMA journal_mode = WAL")
-                connection.executescript(_SCHEMA)
+            if self.frozen:
+                check_frozen(path)
+            else:
+                self._make()
         except sqlite3.DatabaseError as error:
             raise InputError(f"{path} is no ledger of a run ({error}); name another --out") from error
+
+    def _make(self) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with self._connection() as connection:
+            connection.execute("PRAGMA journal_mode = WAL")
+            connection.executescript(_SCHEMA)
 
     def settled(self, key: str, limits: Limits) -> bool:
         """Tell whether a case has an answer; one that ran into a narrower limit than now has none."""
@@ -181,7 +192,8 @@ class BenchLedger:
 
     @contextmanager
     def _connection(self) -> Iterator[sqlite3.Connection]:
-        with closing(sqlite3.connect(self.path, timeout=60)) as connection, connection:
+        opened = connect_frozen(self.path) if self.frozen else sqlite3.connect(self.path, timeout=60)
+        with closing(opened) as connection, connection:
             yield connection
 
 

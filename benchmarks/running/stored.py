@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import io
+import json
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from semrecon.data import Estimate, HeightMap, PointCloud, Poses
+from semrecon.numerics.history import CONVERGENCE, histories
 
 MOST_POINTS = 40_000
 """Of a cloud that is kept; of a larger one every so-many-th point is (it is the height map that says the rest)."""
 
 
 def packed(estimate: Estimate) -> bytes:
-    """Write heights, points and poses, compressed: lengths as float32, rotations in full."""
+    """Write heights, points, poses and how iterations converged, compressed: lengths as float32, rotations in full."""
     arrays: dict[str, NDArray[Any]] = {}
     if estimate.heights is not None:
         arrays["z_um"] = estimate.heights.z_um.astype(np.float32)
@@ -30,13 +32,15 @@ def packed(estimate: Estimate) -> bytes:
     if estimate.poses is not None:
         arrays["rotations"] = estimate.poses.rotations
         arrays["translations_um"] = estimate.poses.translations_um
+    if converged := histories(estimate.diagnostics):
+        arrays[CONVERGENCE] = np.array(json.dumps(converged))
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]  # names are ours, none is `file`
     return buffer.getvalue()
 
 
 def unpacked(blob: bytes) -> Estimate:
-    """Read what `packed` wrote; of the covariances there is the variance along z, the rest is NaN."""
+    """Read what `packed` wrote; of the covariances there is the variance along z, of diagnostics the convergence."""
     with np.load(io.BytesIO(blob)) as stored:
         arrays = {name: stored[name] for name in stored.files}
     heights = points = poses = None
@@ -50,4 +54,5 @@ def unpacked(blob: bytes) -> Estimate:
         points = PointCloud(xyz_um, covariance, residual_px, xy_px)
     if "rotations" in arrays:
         poses = Poses(arrays["rotations"], arrays["translations_um"])
-    return Estimate(points, heights, poses)
+    diagnostics = {CONVERGENCE: json.loads(str(arrays[CONVERGENCE]))} if CONVERGENCE in arrays else {}
+    return Estimate(points, heights, poses, diagnostics=diagnostics)

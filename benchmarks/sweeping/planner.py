@@ -4,7 +4,9 @@ The model is ``error^2 = (efficiency * bound)^2 + (matching * response)^2 + floo
 noise are computed for every candidate; the three factors are those of the method, fitted to a few simulations of a
 development specimen: how far from the light's limit it stays, what it adds to the place of a match that more electrons
 do not cure and a wider tilt does, and what neither cures (shading that travels with the tilt, surface between points).
-What the model chooses is then photographed, reconstructed and judged on the reporting specimen.
+What the model chooses is then photographed, reconstructed and judged on the reporting specimen. Where that misses the
+target, what was measured corrects the model and dearer candidates are tried, the best of all at last: a specimen
+that is harder than the one of the model must not end in a "no" that was never measured.
 """
 
 from __future__ import annotations
@@ -24,18 +26,23 @@ from benchmarks.judging.limits import LimitOptions, parallaxes, summary_of
 from benchmarks.judging.sensitivity import noise_gain
 from benchmarks.running.bench import Plan, Report, measure
 from benchmarks.running.bench_ledger import BenchLedger, Result
+from benchmarks.running.case import contender_of
 from benchmarks.running.cell import Limits
 from benchmarks.running.manifest import Manifest, manifest_of
 from benchmarks.running.runner import completed
 from benchmarks.scenes import SimulatedSource
 from benchmarks.suite import BenchScene
 from benchmarks.sweeping.sweep_summary import MEASURED, interval
+from benchmarks.sweeping.sweeps import offered
 from semrecon.errors import InputError, MethodError
 from semsim.capture import prepare
 from semsim.scene import Scene
 
 MEDIAN_OF_NORMAL = 0.6745
 """Median absolute value of a normal number of standard deviation 1."""
+ROUNDS = 3
+"""Times that candidates are chosen and simulated before the answer is no."""
+MOST_RANGE_DEG, MOST_DOSE_E = 140.0, 1e9
 
 
 @dataclass(frozen=True)
@@ -49,8 +56,22 @@ class Choices:
     def __post_init__(self) -> None:
         if not (self.ranges_deg and self.views and self.doses_e):
             raise InputError("a plan needs at least one range of tilts, one number of views and one dose")
-        if min(self.ranges_deg) <= 0 or max(self.ranges_deg) > 140 or min(self.doses_e) <= 0 or min(self.views) < 2:
-            raise InputError("a plan needs ranges of tilt between 0 and 140 degrees, doses above 0 and 2 views or more")
+        ranges = all(0 < each <= MOST_RANGE_DEG for each in self.ranges_deg)  # a NaN is neither
+        doses = all(0 < each < MOST_DOSE_E for each in self.doses_e)
+        if not (ranges and doses and min(self.views) >= 2):
+            raise InputError(
+                f"a plan needs ranges of tilt above 0 and up to {MOST_RANGE_DEG:g} degrees, doses above 0 and below "
+                f"{MOST_DOSE_E:g} electrons and 2 views or more"
+            )
+
+    def for_method(self, method: Any) -> Choices:
+        """Leave out numbers of views that a method does not take; raises `InputError` where none is left."""
+        least, most = contender_of(method).views
+        kept = tuple(each for each in self.views if least <= each and (most is None or each <= most))
+        if not kept:
+            span = f"{least} views or more" if most is None else f"{least} to {most} views"
+            raise InputError(f"{method.name} takes {span}, and --views names {', '.join(map(str, self.views))}")
+        return replace(self, views=kept)
 
 
 @dataclass(frozen=True)
@@ -116,7 +137,7 @@ class Checked:
 
 @dataclass(frozen=True)
 class Planned:
-    """The answer: model, all candidates with their expectation, those that were simulated in order of cost."""
+    """The answer: model, all candidates with their expectation, those that were simulated, cheapest first."""
 
     target_um: float
     method: str
@@ -140,7 +161,7 @@ class Task:
     scene, development
         Photographed for the check, and to fit the model: specimens of one kind, apart from each other.
     checks
-        Most candidates to be simulated.
+        Most candidates to be simulated at once; where none reaches the target, as many again are, `ROUNDS` in all.
     """
 
     scene: BenchScene
@@ -174,9 +195,47 @@ def make_plan(task: Task, ledger: BenchLedger, executor: Executor, report: Repor
     places = list(product(task.choices.views, task.choices.ranges_deg, task.choices.doses_e))
     bounded = _bounded(task.scene, places, task, executor, report, "bounds")
     candidates = tuple(replace(each, expected_um=model.expected_um(each)) for each in bounded)
-    chosen = choose(candidates, task.target_um, task.checks)
-    checked = simulated(task.scene, chosen, task, ledger, executor, _stage(report, "check"))
+    checked = _tried(candidates, task, ledger, executor, report)
     return Planned(task.target_um, task.method.name, model, tuple(fitted), candidates, tuple(checked))
+
+
+def _tried(
+    candidates: Sequence[Candidate], task: Task, ledger: BenchLedger, executor: Executor, report: Report
+) -> list[Checked]:
+    """Simulate what should do, correct the expectation by what comes out, and go on until something does.
+
+    The best are tried once nothing is expected to do, and in the last round; after them there is nothing to hope for.
+    """
+    checked: list[Checked] = []
+    for turn in range(1, ROUNDS + 1):
+        left = untried(candidates, checked)
+        wanted_um = 0.0 if turn == ROUNDS else task.target_um / shortfall(checked)  # nothing reaches 0: the best are
+        chosen = choose(left, wanted_um, task.checks)
+        name = "check" if turn == 1 else f"check, round {turn}"
+        checked += simulated(task.scene, chosen, task, ledger, executor, _stage(report, name)) if chosen else []
+        hopeful = any(each.expected_um <= wanted_um for each in left)
+        if not hopeful or any(each.simulated_um <= task.target_um for each in checked):
+            break
+    return sorted(checked, key=lambda each: (each.candidate.total_e, each.candidate.expected_um))
+
+
+def untried(candidates: Sequence[Candidate], checked: Sequence[Checked]) -> list[Candidate]:
+    """Leave out what was simulated, and what is harder in each respect than one at which the method failed."""
+    done = {each.candidate for each in checked}
+    failed = [each.candidate for each in checked if not np.isfinite(each.simulated_um)]
+
+    def hopeless(each: Candidate) -> bool:
+        return any(
+            each.views == one.views and each.dose_e <= one.dose_e and each.range_deg >= one.range_deg for one in failed
+        )
+
+    return [each for each in candidates if each not in done and not hopeless(each)]
+
+
+def shortfall(checked: Sequence[Checked]) -> float:
+    """How many times the expectation the measured errors are, in the middle; 1 where they are better or unknown."""
+    ratios = [each.simulated_um / each.candidate.expected_um for each in checked if np.isfinite(each.simulated_um)]
+    return max(1.0, float(np.median(ratios))) if ratios else 1.0
 
 
 def task_manifest(task: Task, command: str) -> Manifest:
@@ -285,7 +344,7 @@ def _checked(candidate: Candidate, results: Sequence[Result]) -> Checked:
 def _variant(scene: BenchScene, views: int, range_deg: float, dose_e: float) -> BenchScene:
     name = f"{scene.source.name}, {views} views over {range_deg:g} deg, {dose_e:g} e"
     taken = _taken(scene.source.scene, views, range_deg, dose_e)
-    return replace(scene, name=name, source=SimulatedSource(taken, scene.source.cache))
+    return replace(scene, name=name, source=SimulatedSource(taken, scene.source.cache), offers=offered(taken))
 
 
 def _taken(scene: Scene, views: int, range_deg: float, dose_e: float) -> Scene:

@@ -20,7 +20,7 @@ def verdict(planned: Planned) -> str:
     simulated = [each for each in planned.checked if np.isfinite(each.simulated_um)]
     if not simulated:
         reasons = "; ".join(sorted({each.failure for each in planned.checked if each.failure}))
-        return f"No candidate could be simulated: {reasons or 'nothing was judgeable'}."
+        return f"The method answers at none of the candidates: {reasons or 'nothing was judgeable'}."
     best = min(simulated, key=lambda each: each.simulated_um)
     text = f"Nothing that was simulated reaches {planned.target_um:g} um; nearest is {_how(best)} with "
     text += f"{best.simulated_um:.3g} um."
@@ -41,6 +41,11 @@ def plan_rows(planned: Planned) -> tuple[Sequence[str], list[list[str]]]:
     return head, rows
 
 
+def failures(planned: Planned) -> list[str]:
+    """Say why the method has no answer where the table says that it failed."""
+    return [f"{_how(each)}: {each.failure}" for each in planned.checked if each.failure]
+
+
 def plan_markdown(planned: Planned, scene: str, figure: str) -> str:
     """Say what was asked, what is to be done, and what that rests on."""
     head, rows = plan_rows(planned)
@@ -57,12 +62,14 @@ def plan_markdown(planned: Planned, scene: str, figure: str) -> str:
         f"![Expected error]({figure})",
         "",
         "Median absolute depth errors in um, over what all views see, after removal of what the method declares "
-        "unobservable. Cheapest way of each number of views first by electrons in all:",
+        "unobservable. By electrons in all, the fewest first:",
         "",
         f"| {' | '.join(head)} |",
         "|" + "---:|" * len(head),
         *(f"| {' | '.join(row)} |" for row in rows),
         "",
+        *(f"- {said}" for said in failures(planned)),
+        *([""] if failures(planned) else []),
         "## The model",
         "",
         f"error^2 = ({planned.model.efficiency:.3g} x bound)^2 + ({planned.model.matching_px:.3g} x response)^2 + "
@@ -82,7 +89,7 @@ def _how(each: Checked) -> str:
 
 def _simulated(each: Checked) -> str:
     if not np.isfinite(each.simulated_um):
-        return each.failure or "-"
+        return "failed" if each.failure else "-"
     if not np.isfinite(each.low_um):
         return f"{each.simulated_um:.3g}"
     return f"{each.simulated_um:.3g} [{each.low_um:.3g}, {each.high_um:.3g}]"

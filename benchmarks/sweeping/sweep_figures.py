@@ -16,10 +16,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from benchmarks.sweeping.planner import Candidate
+    from benchmarks.sweeping.planner import Candidate, Checked, Planned
 
 COLOURS = ("#1f6fb4", "#d1495b", "#3c8d5a", "#edae49", "#6a4c93", "#00798c", "#a0522d", "#7f7f7f")
 MARKERS = "osD^vPX*"
+REACHED, MISSED = "\u2605", "\u2715"
+"""Marks of what was simulated in the map of a plan."""
 
 
 def draw_sweep(path: Path, swept: Swept) -> None:
@@ -28,10 +30,15 @@ def draw_sweep(path: Path, swept: Swept) -> None:
     figure.savefig(path, dpi=150, metadata={"Date": None} if path.suffix == ".svg" else None)
 
 
-def draw_plan(path: Path, candidates: Sequence[Candidate], target_um: float, title: str) -> None:
-    """Draw the expected error over tilt range and dose, a panel a number of views; what meets the target is framed."""
+def draw_plan(path: Path, planned: Planned, title: str) -> None:
+    """Draw the expected error over tilt range and dose, a panel a number of views, with what simulation says of it.
+
+    Where the model expects the target to be met, a frame is drawn; a star is a candidate that met it in simulation, a
+    cross one that did not.
+    """
     from matplotlib.colors import LogNorm
 
+    candidates = planned.candidates
     counts = sorted({each.views for each in candidates})
     figure = _figure(3.6 * len(counts) + 1.0, 3.8)
     errors = [each.expected_um for each in candidates if np.isfinite(each.expected_um)]
@@ -39,15 +46,19 @@ def draw_plan(path: Path, candidates: Sequence[Candidate], target_um: float, tit
     panels: list[Axes] = []
     for number, count in enumerate(counts, start=1):
         axes = figure.add_subplot(1, len(counts), number)
-        drawn = _plan_panel(axes, [each for each in candidates if each.views == count], target_um, norm)
+        drawn = _plan_panel(axes, [each for each in candidates if each.views == count], planned, norm)
         axes.set_title(f"{count} views")
         panels.append(axes)
-    figure.colorbar(drawn, ax=panels, label="expected median depth error (um)", format="{x:g}")
-    figure.suptitle(title)
+    bar = figure.colorbar(drawn, ax=panels, label="median depth error by the model (um)", format="{x:g}")
+    bar.ax.yaxis.set_minor_formatter("{x:g}")
+    said = (
+        f"framed: the model expects {planned.target_um:g} um or less; simulated: {REACHED} reached it, {MISSED} did not"
+    )
+    figure.suptitle(f"{title}\n{said}", fontsize=10)
     figure.savefig(path, dpi=150)
 
 
-def _plan_panel(axes: Axes, candidates: Sequence[Candidate], target_um: float, norm: Any) -> Any:
+def _plan_panel(axes: Axes, candidates: Sequence[Candidate], planned: Planned, norm: Any) -> Any:
     from matplotlib.patches import Rectangle
 
     ranges = sorted({each.range_deg for each in candidates})
@@ -56,11 +67,20 @@ def _plan_panel(axes: Axes, candidates: Sequence[Candidate], target_um: float, n
     grid = np.array([[by_place[dose, spread] for spread in ranges] for dose in doses])
     drawn = axes.imshow(grid, norm=norm, cmap="viridis_r", origin="lower", aspect="auto")
     _name_cells(axes, ranges, doses, grid)
-    for row, column in np.argwhere(grid <= target_um):
+    for row, column in np.argwhere(grid <= planned.target_um):
         frame = (column - 0.46, row - 0.46)
         axes.add_patch(Rectangle(frame, 0.92, 0.92, fill=False, edgecolor="#d1495b", linewidth=2))
+    for each in (one for one in planned.checked if one.candidate in candidates):
+        place = ranges.index(each.candidate.range_deg), doses.index(each.candidate.dose_e)
+        style: dict[str, Any] = {"backgroundcolor": "#ffffffb0", "fontsize": 7, "ha": "center", "va": "center"}
+        axes.annotate(_simulated(each, planned.target_um), place, (0, 15), textcoords="offset points", **style)
     axes.set(xlabel="range of tilts (deg)", ylabel="dose (electrons a pixel and view)")
     return drawn
+
+
+def _simulated(each: Checked, target_um: float) -> str:
+    number = f"{each.simulated_um:.2g}" if np.isfinite(each.simulated_um) else "failed"
+    return f"{REACHED if each.simulated_um <= target_um else MISSED} {number}"
 
 
 def _curves_figure(swept: Swept) -> Figure:

@@ -36,6 +36,9 @@ class Refinement:
         Sentences: what the images do not say, and what holds it.
     iterations, converged
         Gauss-Newton steps taken, and whether the last one was negligible.
+    history_px
+        Root-mean-square distance of the sightings that count, by their weights, from their reprojections: before the
+        first step and after each of them. It may rise where the weights change.
     """
 
     poses: Poses
@@ -56,6 +59,7 @@ class Refinement:
     unobservable: tuple[str, ...]
     iterations: int
     converged: bool
+    history_px: tuple[float, ...] = ()
 
     @property
     def tilt_step_sigma_deg(self) -> Array:

@@ -81,7 +81,12 @@ class _State:
     sigma_px: float
     covariance: Array
     last_step: float
-    steps: int
+    history_px: tuple[float, ...] = ()
+
+    @property
+    def steps(self) -> int:
+        """How many were taken: each adds the residual that it started from."""
+        return len(self.history_px)
 
 
 def refine(
@@ -122,7 +127,7 @@ def refine(
     weights = np.where(tracks.seen, start.weights, 0.0) if options.loss == "cauchy" else tracks.seen.astype(np.float64)
     weights[~_solvable(problem, weights, problem.stated)] = 0.0
     size = len(problem.free)
-    state = _State(problem.stated, weights, max(start.scale_px, LEAST_SCALE_PX), np.zeros((size, size)), np.inf, 0)
+    state = _State(problem.stated, weights, max(start.scale_px, LEAST_SCALE_PX), np.zeros((size, size)), np.inf)
     if options.loss != "squared":
         state = _robust_rounds(problem, state)
     for _ in range(SELECTIONS):
@@ -201,7 +206,7 @@ def _plain_rounds(problem: _Problem, state: _State) -> _State:
 def _step(problem: _Problem, state: _State) -> _State:
     """Intersect the beams and step the cameras."""
     cameras = state.cameras
-    reduced = _reduced(problem, state)
+    reduced, rms_px = _reduced(problem, state)
     right = reduced.right + problem.information * (problem.stated.vector - cameras.vector)
     step, covariance = _solve(reduced, right, problem)
     sigma = np.sqrt(np.diag(covariance))
@@ -211,7 +216,7 @@ def _step(problem: _Problem, state: _State) -> _State:
     free_of_unit = np.delete(moved.vector - problem.stated.vector, _shifts(len(cameras)))
     if not np.abs(free_of_unit).max() <= FARTHEST:
         raise MethodError(TOO_FEW)
-    return replace(state, cameras=moved, covariance=covariance, last_step=last, steps=state.steps + 1)
+    return replace(state, cameras=moved, covariance=covariance, last_step=last, history_px=(*state.history_px, rms_px))
 
 
 def _shifts(views: int) -> NDArray[np.intp]:
@@ -219,12 +224,21 @@ def _shifts(views: int) -> NDArray[np.intp]:
     return np.asarray(np.arange(LOCAL * views).reshape(views, LOCAL)[:, :2].ravel())
 
 
-def _reduced(problem: _Problem, state: _State) -> Reduced:
+def _reduced(problem: _Problem, state: _State) -> tuple[Reduced, float]:
+    """Equations of the cameras alone, and the weighted RMS residual from which the step starts, px."""
     xyz, _ = _intersect(problem, state.cameras, state.weights)
     weights = np.where(np.isfinite(xyz).all(axis=1, keepdims=True), state.weights, 0.0)
     variance = (state.sigma_px * problem.optics.pixel_size_um) ** 2
     beam = state.cameras.poses.rotations[problem.reference, 2]
-    return reduced_equations(problem.tracks, weights / variance, xyz, state.cameras, problem.optics, beam)
+    reduced = reduced_equations(problem.tracks, weights / variance, xyz, state.cameras, problem.optics, beam)
+    return reduced, _rms_px(problem, state.cameras, xyz, weights)
+
+
+def _rms_px(problem: _Problem, cameras: Cameras, xyz_um: Array, weights: Array) -> float:
+    """Weighted root-mean-square distance of the sightings that count from their reprojections."""
+    counted = np.where(weights > 0, weights, 0.0)
+    squares = np.nan_to_num(_distances_px(problem, cameras, xyz_um)) ** 2
+    return float(np.sqrt((counted * squares).sum() / max(counted.sum(), np.finfo(float).tiny)))
 
 
 def _solve(reduced: Reduced, right: Array, problem: _Problem) -> tuple[Array, Array]:
@@ -326,6 +340,7 @@ def _report(problem: _Problem, state: _State) -> Refinement:
     tilts = np.arange(2, len(sigma) - 1, LOCAL)
     points, k = _points(problem, state), problem.optics.inverse_working_distance
     noise_um = state.sigma_px * problem.optics.pixel_size_um
+    ends_px = _rms_px(problem, cameras, points.xyz_um, state.weights)
     tracks = cameras.corrected(problem.tracks, problem.optics)
     tilt_covariance = np.rad2deg(np.rad2deg(covariance[np.ix_(tilts, tilts)]))
     return Refinement(
@@ -354,6 +369,7 @@ def _report(problem: _Problem, state: _State) -> Refinement:
         ),
         iterations=state.steps,
         converged=state.last_step <= SETTLED,
+        history_px=(*state.history_px, ends_px),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,6 +62,9 @@ class Registration:
         Whether the stopping rule was met before the iterations ran out; None where the library does not say.
     method
         What registered.
+    history_um
+        RMS distance of every moved point to its pair before the first step and after each of them; empty where the
+        library does not say.
     """
 
     rotation: Array
@@ -70,6 +73,7 @@ class Registration:
     iterations: int | None
     converged: bool | None
     method: str
+    history_um: tuple[float, ...] = ()
 
     @property
     def fixed_from_moving(self) -> RigidMotion:
@@ -118,13 +122,17 @@ def icp(
     nearest = NearestNeighbours(target)
     motion = initial or RigidMotion.identity()
     steps: list[tuple[float, float]] = []
+    history: list[float] = []
     converged = False
     while not converged and len(steps) < stop.max_iterations:
-        previous = motion
-        motion = fit_motion(start, target[nearest(previous.apply(start))])
+        previous, moved = motion, motion.apply(start)
+        pairs = target[nearest(moved)]
+        history.append(float(np.sqrt(np.mean(((moved - pairs) ** 2).sum(axis=1)))))
+        motion = fit_motion(start, pairs)
         steps.append(step(motion, previous))
         converged = stop.reached(steps)
-    return answer(motion, start, target, len(steps), converged, "icp")
+    found = answer(motion, start, target, len(steps), converged, "icp")
+    return replace(found, history_um=(*history, found.rmse_um))
 
 
 def cloud_positions(cloud: PointCloud | Array, role: str) -> Array:

@@ -1,4 +1,4 @@
-"""Scale: what a data bar, a print or a magnification says of the pixel size, and when parallel projection is right."""
+"""Scale: what a data bar says of the pixel size, and when parallel projection is right."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from semrecon.data import Optics
 from semrecon.errors import InputError
 
 UM_PER_INCH = 25_400.0
-PRINT_WIDTH_MM = 127.0
-"""Width of the instant photograph (5 inches) to which most microscopes refer their magnification, mm."""
 
 
 def _positive(value: float, what: str) -> float:
@@ -25,27 +23,6 @@ def pixel_size_from_bar(bar_um: float, bar_px: float) -> float:
     Table 1 of the seed: 5 um = 34 px (pollen) and 5 um = 60 px (diatom), its "Scale (um/pixel)".
     """
     return _positive(bar_um, "data bar length in um") / _positive(bar_px, "data bar length in px")
-
-
-def pixel_size_from_print(bar_um: float, bar_mm: float, dpi: float) -> float:
-    """Pixel size from a bar that measures `bar_mm` on a print made at `dpi` pixels an inch, um."""
-    bar_px = _positive(bar_mm, "printed bar length in mm") * 1000 / UM_PER_INCH * _positive(dpi, "dpi")
-    return pixel_size_from_bar(bar_um, bar_px)
-
-
-def pixel_size_from_magnification(magnification: float, width_px: int, print_width_mm: float = PRINT_WIDTH_MM) -> float:
-    """Pixel size from a magnification and the width of the print that it refers to, um.
-
-    The field of view is ``print_width / magnification``; a magnification without a print width says nothing.
-    """
-    field_um = _positive(print_width_mm, "print width in mm") * 1000 / _positive(magnification, "magnification")
-    return field_um / _positive(width_px, "image width in px")
-
-
-def magnification_on_print(pixel_size_um: float, width_px: int, print_width_mm: float = PRINT_WIDTH_MM) -> float:
-    """Magnification of the whole image shown `print_width_mm` wide, the inverse of `pixel_size_from_magnification`."""
-    field_um = _positive(pixel_size_um, "pixel size in um") * _positive(width_px, "image width in px")
-    return _positive(print_width_mm, "print width in mm") * 1000 / field_um
 
 
 def magnification_at_dpi(pixel_size_um: float, dpi: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from semrecon.methods.pair_clouds import (
     match_diagnostics,
     pair_clouds_of,
     register_pair_clouds,
+    registration_history,
     skew_warnings,
 )
 from semrecon.points.disparity import Variant, disparity_cloud
@@ -137,7 +138,8 @@ class DisparityIcp:
         measured = [self._measured(series, one) for one in adjacent]
         clouds = pair_clouds_of([one for one, _ in measured], [cloud for _, cloud in measured])
         points, registration = register_pair_clouds(series, clouds)
-        found = {"points": len(points), "registration_rmse_um": registration.rmse_um}
+        found: dict[str, Any] = {"points": len(points), "registration_rmse_um": registration.rmse_um}
+        found |= registration_history(clouds, registration, series.optics.pixel_size_um)
         return Estimate(
             points=points,
             heights=heights_of(series, points),

@@ -24,9 +24,11 @@ from semrecon.methods.pair_clouds import (
     match_diagnostics,
     pair_clouds_of,
     register_pair_clouds,
+    registration_history,
     skew_warnings,
 )
 from semrecon.methods.registration_check import compare_with_registration
+from semrecon.numerics.history import CONVERGENCE, history
 from semrecon.numerics.robust import NoiseFit, fit_noise
 from semrecon.points.joint_translation import SeriesTranslation, solve_series
 from semrecon.points.sightings import without_wrong_sightings
@@ -154,7 +156,7 @@ class KnownRotation:
             "rejected": sum(len(one.matches) for one in adjacent) - len(points),
             "registration": self.registration,
             "registration_rmse_um": registration.rmse_um,
-        }
+        } | registration_history(clouds, registration, series.optics.pixel_size_um)
         return Estimate(
             points=points,
             heights=heights_of(series, points),
@@ -254,4 +256,5 @@ def _refined_diagnostics(tracks: Tracks, refined: Refinement) -> dict[str, Any]:
             "iterations": refined.iterations,
             "converged": refined.converged,
         },
+        CONVERGENCE: [history("bundle adjustment", refined.history_px)],
     }

@@ -13,6 +13,7 @@ from semrecon.data import Array, HeightMap, Mask, PointCloud, TiltSeries
 from semrecon.errors import InputError, MethodError
 from semrecon.geometry import centred_um, rotations_from_tilts, view_from_world
 from semrecon.matches.correspondence import PairMatches, pair_geometry, view_name
+from semrecon.numerics.history import CONVERGENCE, history
 from semrecon.surface.meshing import height_map_from_points, without_outliers
 
 SLOPE_PX = 1.0
@@ -75,6 +76,18 @@ def register_pair_clouds(
     shift[2] = -np.median(camera[:, 2])
     covariance = first.T @ merged.covariance_um2 @ first
     return PointCloud(world + shift @ beam, covariance, merged.residual_px, xy_px), registration
+
+
+def registration_history(
+    clouds: Sequence[PairCloud], registration: SequenceRegistration, pixel_size_um: float
+) -> dict[str, Any]:
+    """Keep how each registration converged, ready for the report; nothing where the library does not say."""
+    found = []
+    for one, each in zip(clouds[1:], registration.pairs, strict=True):
+        if each.history_um:
+            residual_px = [rms_um / pixel_size_um for rms_um in each.history_um]
+            found.append(history(f"ICP, pair {one.pair[0]}-{one.pair[1]} to the pair before", residual_px))
+    return {CONVERGENCE: found} if found else {}
 
 
 def heights_of(series: TiltSeries, points: PointCloud, translation_um: Array | None = None) -> HeightMap:

@@ -22,27 +22,6 @@ GAUSS_NEWTON_STEPS = 8
 SETTLED_UM = 1e-12
 
 
-def projection_matrix(rotation: Array, translation_um: Array, optics: Optics) -> Array:
-    """P of Eqs. 2 and 6: homogeneous pixel (column, row, 1) from homogeneous world point.
-
-    The seed's internal matrix with ``a = 1 / pixel_size_um`` and the principal point where our pixels have it; the last
-    row is (0, 0, 0, 1) under parallel projection and ``k (r_3, t_z) + (0, 0, 0, 1)`` under perspective.
-
-    Parameters
-    ----------
-    rotation, translation_um
-        R_cam_from_world (3, 3) and t (3,).
-
-    Returns
-    -------
-    (3, 4).
-    """
-    external = np.column_stack([rotation, translation_um])
-    last = optics.inverse_working_distance * external[2] + np.array([0.0, 0.0, 0.0, 1.0])
-    images = external[:2] / optics.pixel_size_um + optics.centre_px[:, None] * last
-    return np.vstack([images, last])
-
-
 def triangulate(
     tracks: Tracks, poses: Poses, optics: Optics, *, sigma_px: float | Array = 1.0, reference: int = 0
 ) -> PointCloud:

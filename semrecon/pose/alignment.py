@@ -20,6 +20,7 @@ from semrecon.matches.correspondence import CorrespondenceOptions, PairMatches, 
 from semrecon.matches.features import Features, detect_features
 from semrecon.matches.phase_correlation import phase_shift
 from semrecon.matches.tracks import join_matches
+from semrecon.numerics.history import CONVERGENCE, history
 
 ROUNDS = 3
 """Phase correlations of a view, each after the last one's shift is taken back."""
@@ -243,4 +244,5 @@ def _diagnostics(
         "tilt_axis_sigma_deg": refined.axis_sigma_deg,
         "rotations_deg": refined.rotations_deg,
         "unobservable": refined.unobservable,
+        CONVERGENCE: [history("bundle adjustment of the cameras", refined.history_px)],
     }

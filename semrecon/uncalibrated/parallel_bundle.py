@@ -172,6 +172,8 @@ class Adjusted(Generic[M]):
         Noise of a sighting per coordinate.
     covariance
         Of the free numbers, (free, free), the gauge being held.
+    history_px
+        Weighted root-mean-square miss at the start and after each step; it may rise where the weights change.
     """
 
     model: M
@@ -180,6 +182,7 @@ class Adjusted(Generic[M]):
     residual_px: Array
     sigma_px: float
     covariance: Array
+    history_px: tuple[float, ...] = ()
 
 
 def adjust(tracks: Tracks, model: M, *, sigmas: float = 3.5, rounds: int = 50) -> Adjusted[M]:
@@ -194,15 +197,18 @@ def adjust(tracks: Tracks, model: M, *, sigmas: float = 3.5, rounds: int = 50) -
         Hardly any track is left.
     """
     base, xy = weights_of(tracks), tracks.xy_px
+    history: list[float] = []
     for _ in range(4):
-        model = minimise(xy, base * _cauchy(xy, base, model)[:, None], model, rounds=6)
+        model, misses = descend(xy, base * _cauchy(xy, base, model)[:, None], model, rounds=6)
+        history += misses if not history else misses[1:]
     chosen = np.zeros(len(xy), dtype=bool)
     for _ in range(6):
         noise = fit_noise(_residual_px(xy, base, model), _views(base), sigmas=sigmas)
         if noise.inliers.sum() < 4 or (noise.inliers == chosen).all():
             break
         chosen = noise.inliers
-        model = minimise(xy, base * chosen[:, None], model, rounds=rounds)
+        model, misses = descend(xy, base * chosen[:, None], model, rounds=rounds)
+        history += misses[1:]
     if chosen.sum() < 4:
         raise MethodError("no cameras explain the matches; the views may not show one rigid specimen")
     points, ranks = intersect(xy, base, model.cameras)
@@ -215,6 +221,7 @@ def adjust(tracks: Tracks, model: M, *, sigmas: float = 3.5, rounds: int = 50) -
         _residual_px(xy, base, model),
         noise.sigma_px,
         noise.sigma_px**2 * _inverse(matrix, model.gauge),
+        tuple(history),
     )
 
 
@@ -226,9 +233,15 @@ def minimise(xy_px: Array, weights: Array, model: M, *, rounds: int = 50) -> M:
     xy_px, weights
         (tracks, views, 2) and (tracks, views), 0 where a sighting does not count.
     """
+    return descend(xy_px, weights, model, rounds=rounds)[0]
+
+
+def descend(xy_px: Array, weights: Array, model: M, *, rounds: int = 50) -> tuple[M, list[float]]:
+    """Do as `minimise` does, and say how: weighted root-mean-square miss at the start and after each step, px."""
     used = (weights > 0).any(axis=1)
     xy_px, weights = xy_px[used], weights[used]
     now, damping = loss(xy_px, weights, model.cameras), 1e-6
+    losses = [now]
     for _ in range(rounds):
         if now <= EXACT_PX2 * weights.sum():
             break
@@ -243,9 +256,10 @@ def minimise(xy_px: Array, weights: Array, model: M, *, rounds: int = 50) -> M:
                 model, now, damping = other, there, max(damping / 10, 1e-12)
                 break
             damping *= 10
+        losses.append(now)
         if before - now <= SETTLED * before:
             break
-    return model
+    return model, [float(np.sqrt(each / max(weights.sum(), np.finfo(float).tiny))) for each in losses]
 
 
 def _damped(matrix: Array, right: Array, damping: float) -> Array:

@@ -13,6 +13,7 @@ from semrecon.errors import MethodError
 from semrecon.geometry import rotations_from_tilts
 from semrecon.matches.correspondence import PairMatches
 from semrecon.matches.tracks import join_matches
+from semrecon.numerics.history import CONVERGENCE, history
 from semrecon.points.triangulation import triangulate
 from semrecon.uncalibrated.factorization import factorize
 from semrecon.uncalibrated.metric_upgrade import Tilts, tilts_of, upgrade, with_sign
@@ -133,6 +134,7 @@ def _diagnostics(
         "off_axis_deg": tilts.off_axis_deg,
         "magnifications": np.exp(adjusted.model.log_scales),
         "depth_scale_sigma": tilts.depth_sigma,
+        CONVERGENCE: [history("bundle adjustment", adjusted.history_px)],
     }
 
 

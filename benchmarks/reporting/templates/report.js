@@ -87,9 +87,9 @@
   const PLOT_PX = 260, AXIS_PX = 64;  // of a narrow page
   const layoutOf = (figure, narrow) => {
     const axis = { gridcolor: colour("--line"), zerolinecolor: colour("--line"), automargin: true, nticks: narrow ? 5 : 8 };
-    const lines = figure.data.filter((each) => each.name).length;
+    const lines = figure.data.filter((each) => each.name && each.showlegend !== false).length;
     const names = narrow ? 19 * lines + 12 : 0;  // narrow pages have the names below the plot, one a line
-    const below = { x: 0, y: -AXIS_PX / PLOT_PX, yanchor: "top", font: { size: 10 } };
+    const below = { x: 0, y: -AXIS_PX / PLOT_PX, yanchor: "top", font: { size: 10 }, tracegroupgap: 0 };
     return {
       ...figure.layout,
       xaxis: { ...axis, ...figure.layout.xaxis }, yaxis: { ...axis, ...figure.layout.yaxis },
@@ -98,25 +98,30 @@
       margin: narrow ? { l: 48, r: 8, t: 34, b: AXIS_PX + names } : { l: 60, r: 12, t: 34, b: 50 },
       ...(narrow ? { height: 34 + PLOT_PX + AXIS_PX + names } : {}),
       modebar: { bgcolor: "rgba(0,0,0,0)", color: colour("--quiet"), activecolor: colour("--accent") }, showlegend: lines > 0,
-      legend: narrow ? below : { font: { size: 11 } },
+      legend: narrow ? below : { font: { size: 11 }, tracegroupgap: 0 },
     };
   };
   const FEW = "D2";  // 1, 2 and 5 of each power of ten
-  const fewOf = (box, name) => (name === "xaxis" && box.clientWidth < 700 ? 1 : FEW);
+  const MANY = 1e4;  // over more than that, powers of ten alone are named
+  const tall = (figure) => {
+    const known = figure.data.flatMap((each) => each.y).filter((value) => value > 0);
+    return Math.max(...known) > MANY * Math.min(...known);
+  };
+  const fewOf = (box, figure, name) => ((name === "xaxis" ? box.clientWidth < 700 : tall(figure)) ? 1 : FEW);
   const draw = (box) => {
     const figure = JSON.parse(one(`script[data-plot="${CSS.escape(box.id)}"]`).textContent);
     box.replaceChildren();
     const layout = layoutOf(figure, box.clientWidth < 700);
     box.style.height = layout.height ? `${layout.height}px` : "";
     const logarithmic = ["xaxis", "yaxis"].filter((name) => layout[name].type === "log");
-    for (const name of logarithmic) layout[name].dtick = fewOf(box, name);
+    for (const name of logarithmic) layout[name].dtick = fewOf(box, figure, name);
     const options = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "sendChartToCloud"] };
     return Plotly.newPlot(box, figure.data, layout, options).then(() => {
       box.on("plotly_relayout", (changed) => {  // zoomed in, more places of an axis have to be named
         const named = {};
         for (const name of logarithmic) {
           if (`${name}.range[0]` in changed) named[`${name}.dtick`] = null;
-          if (`${name}.autorange` in changed) named[`${name}.dtick`] = fewOf(box, name);
+          if (`${name}.autorange` in changed) named[`${name}.dtick`] = fewOf(box, figure, name);
         }
         if (Object.keys(named).length) Plotly.relayout(box, named);
       });
