@@ -29,6 +29,7 @@ ACROSS, SMOOTH = np.array([-0.5, 0.0, 0.5]), np.array([0.25, 0.5, 0.25])
 """Slopes by Sobel's stencil: its blur, 0.6 px along and 0.7 across, stands for that of a usual spot."""
 LEAST_COSINE = 0.4
 """The secant is bounded: steeper places give no more."""
+LEAST_BRIGHTNESS = 1e-3
 STEP = 0.02
 """Change of slope over which tones are differentiated."""
 FIT_BLUR_PX, FIT_SURROUNDINGS_PX = 5.0, 20.0
@@ -80,6 +81,21 @@ class Tones:
     across: Float
     down: Float
     bends: tuple[Float, ...]
+
+
+def brightness(mean: Float, black: float, reach_px: float) -> Float:
+    """Brightness of the surroundings, (rows, columns): of what a tone is a share.
+
+    Parameters
+    ----------
+    mean
+        Mean picture of the views, (rows, columns).
+    black
+        What makes it twice the root of the number of electrons.
+    reach_px
+        Standard deviation of the window.
+    """
+    return np.asarray(np.maximum(shared(mean, reach_px) + black, LEAST_BRIGHTNESS), dtype=np.float32)
 
 
 def slopes(heights: Array) -> tuple[Float, Float]:

@@ -28,6 +28,7 @@ from semrecon.dense.reflectance import (
     CAUCHY,
     Reflectance,
     Tones,
+    brightness,
     calibrated,
     less_surroundings,
     slopes,
@@ -43,7 +44,6 @@ from semrecon.matches.features import usable_pixels
 
 BRIGHTNESS_PX = 8.0
 """Standard deviation of the window in which the brightness of a place is measured."""
-LEAST_BRIGHTNESS = 1e-3
 BLACK_SHARE = 0.25, 0.85
 """Twice the root of the electrons at black, in parts of that at the mean grey value: least and most."""
 
@@ -124,7 +124,7 @@ def shaded(
     if black is None:
         return Shaded(heights, np.zeros(heights.shape, np.float32), {"shading": "noise does not grow with brightness"})
     mean, seen = mean_picture(splines, lines, heights)
-    reflectance = calibrated(mean, brightness(mean, black), seen, heights, lines.matrices[:, :, :3])
+    reflectance = calibrated(mean, brightness(mean, black, BRIGHTNESS_PX), seen, heights, lines.matrices[:, :, :3])
     detailed = heights
     for _ in range(options.rounds):
         detailed = detailed + step(splines, lines, detailed, reflectance, black, parallax, options)
@@ -194,11 +194,6 @@ def mean_picture(splines: Sequence[Spline], lines: Sightlines, heights: Array) -
         total += np.where(known, values, 0)
         counts += known
     return np.asarray(total / np.maximum(counts, 1), dtype=np.float32), np.asarray(counts >= 2)
-
-
-def brightness(mean: Float, black: float) -> Float:
-    """Brightness of the surroundings, (rows, columns): of what a tone is a share."""
-    return np.asarray(np.maximum(shared(mean, BRIGHTNESS_PX) + black, LEAST_BRIGHTNESS), dtype=np.float32)
 
 
 def step(
@@ -294,7 +289,7 @@ def linearised(
     options: ShadingOptions,
 ) -> Linearised:
     """Compare the mean picture (rows, columns) with that of the present heights."""
-    bright = brightness(mean, black)
+    bright = brightness(mean, black, BRIGHTNESS_PX)
     tone = tones(heights, rotations, reflectance)
     grey = Tones(bright * tone.value, bright * tone.across, bright * tone.down, tuple(bright * b for b in tone.bends))
     residual = less_surroundings(mean - grey.value, seen, options.detail_px)

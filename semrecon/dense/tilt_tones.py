@@ -23,7 +23,7 @@ import numpy as np
 from semrecon.data import Array
 from semrecon.dense.bands import in_bands
 from semrecon.dense.parallax import CAUCHY, ParallaxOptions, alike, drawn, shared
-from semrecon.dense.reflectance import LEAST_COSINE, slopes, slopes_transposed
+from semrecon.dense.reflectance import LEAST_COSINE, brightness, slopes, slopes_transposed
 from semrecon.dense.sightlines import Sightlines, motion
 from semrecon.dense.spline import Float, Spline
 
@@ -33,7 +33,6 @@ STEEP = 1.0
 """... and the slope at which the tone counts half."""
 BRIGHT_PX = 4.0
 """Standard deviation of the window in which the brightness is measured that tones multiply."""
-LEAST_BRIGHTNESS = 1e-3
 MISFIT_BLUR_PX = 1.0
 NOISE_LEFT = 1 / np.sqrt(4 * np.pi * MISFIT_BLUR_PX**2)
 """Noise that is left of one unit by that blur."""
@@ -94,7 +93,9 @@ def differences(
     across, down = slopes(heights)
     weight, rotations = gentle(heights), np.ascontiguousarray(lines.matrices[:, 2, :3])
     show_mean_tone(values, heights, lines, black)
-    bright = brightness(values, black)
+    seen = np.isfinite(values)
+    mean = np.where(seen, values, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+    bright = brightness(mean, black, BRIGHT_PX)
     alike(values, 1.0, options.likeness_px)
     geometry = np.array([lines.of(view) for view in range(len(splines))])
     out = np.zeros((9, *heights.shape), dtype=np.float32)
@@ -143,13 +144,6 @@ def gentle(heights: Array) -> Float:
     """Weigh places by how far they are from steep, (rows, columns), 0 to 1."""
     steepness = np.hypot(*slopes(shared(heights, STEEP_BLUR_PX).astype(np.float64)))
     return np.asarray(1 / (1 + (steepness / STEEP) ** 4), dtype=np.float32)
-
-
-def brightness(values: Float, black: float) -> Float:
-    """Twice the root of the electrons round each pixel, from all views (views, rows, columns)."""
-    seen = np.isfinite(values)
-    mean = np.where(seen, values, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
-    return np.asarray(np.maximum(shared(mean, BRIGHT_PX) + black, LEAST_BRIGHTNESS), dtype=np.float32)
 
 
 @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
