@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from semrecon.data import Array, Optics, Poses, TiltSeries, View
 from semrecon.dense.coarse_grids import block_sums, corrected, spread
@@ -55,6 +56,21 @@ def test_a_plane_turned_upright_by_the_stage_has_no_tone() -> None:
 def test_a_steep_place_is_no_brighter_than_the_bound() -> None:
     centre = [tones(plane(slope, 0.0), UPRIGHT, Reflectance(1.0)).value[48, 64] for slope in (4.0, 8.0)]
     assert centre[0] == pytest.approx(centre[1])
+
+
+def test_the_derivatives_of_the_tone_are_those_of_its_values() -> None:
+    law, step = Reflectance(0.6, side=(0.2, -0.3)), 0.01
+    turns = Rotation.from_euler("y", [[-12.0], [0.0], [9.0]], degrees=True).as_matrix()
+
+    def value(p: float, q: float) -> float:
+        return float(tones(plane(p, q), turns, law).value[48, 64])
+
+    for p, q in ((0.0, 0.0), (0.7, -0.4), (-1.2, 0.9)):
+        found = tones(plane(p, q), turns, law)
+        across = (value(p + step, q) - value(p - step, q)) / (2 * step)
+        down = (value(p, q + step) - value(p, q - step)) / (2 * step)
+        assert found.across[48, 64] == pytest.approx(across, abs=2e-4)
+        assert found.down[48, 64] == pytest.approx(down, abs=2e-4)
 
 
 def test_block_sums_keep_the_sum_and_spread_a_constant() -> None:

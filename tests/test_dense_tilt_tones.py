@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from semrecon.data import Array, Optics, Poses
-from semrecon.dense.parallax import ParallaxOptions, refined, shared
+from semrecon.dense.parallax import ParallaxOptions, drawn, refined, shared
 from semrecon.dense.reflectance import slopes, slopes_transposed
 from semrecon.dense.sightlines import Sightlines, sightlines
 from semrecon.dense.spline import Spline
@@ -57,7 +57,7 @@ def photographs(heights: Array, paint: Array, lines: Sightlines) -> list[Spline]
 def some_differences(heights: Array) -> Differences:
     lines = lines_of()
     views = photographs(relief(1), relief(2, height=0.1, reach=2.0), lines)
-    return differences(views, lines, heights, BLACK, ParallaxOptions())
+    return differences(*drawn(views, lines, heights), lines, heights, BLACK, ParallaxOptions())
 
 
 def test_the_transpose_of_slopes_is_the_transpose() -> None:
@@ -108,7 +108,9 @@ def test_true_heights_ask_for_no_change() -> None:
     lines, true = lines_of(), relief(1)
     views = photographs(true, relief(2, height=0.1, reach=2.0), lines)
     asked = [
-        np.abs(differences(views, lines, heights, BLACK, ParallaxOptions()).asked())[16:-16, 16:-16].mean()
+        np.abs(differences(*drawn(views, lines, heights), lines, heights, BLACK, ParallaxOptions()).asked())[
+            16:-16, 16:-16
+        ].mean()
         for heights in (true, true + relief(10, height=0.5))
     ]
     assert asked[0] < 0.15 * asked[1]
@@ -120,7 +122,9 @@ def test_true_heights_fit_best_and_parallax_alone_leads_away_from_them() -> None
     by_parallax = refined(views, lines, true, 1.0, ParallaxOptions())
     inner = np.s_[16:-16, 16:-16]
     assert np.abs(by_parallax - true)[inner].mean() > 0.1
-    fits = [misfit(views, lines, z, BLACK, ParallaxOptions())[inner].mean() for z in (true, by_parallax)]
+    fits = [
+        misfit(drawn(views, lines, z)[0], lines, z, BLACK, ParallaxOptions())[inner].mean() for z in (true, by_parallax)
+    ]
     assert fits[0] < fits[1]
 
 
@@ -128,6 +132,8 @@ def test_the_misfit_of_equal_views_is_nothing_and_of_one_view_unknown() -> None:
     lines = lines_of(np.array([0.0, 0.0, 0.0]))
     view = photographs(np.zeros(SHAPE), relief(2, height=0.1), lines_of())[0]
     level = np.zeros(SHAPE)
-    assert_allclose(misfit([view] * 3, lines, level, None, ParallaxOptions())[4:-4, 4:-4], 0.0, atol=1e-6)
+    assert_allclose(
+        misfit(drawn([view] * 3, lines, level)[0], lines, level, None, ParallaxOptions())[4:-4, 4:-4], 0.0, atol=1e-6
+    )
     blind = Spline(view.coefficients, np.zeros(SHAPE, dtype=np.bool_))
-    assert np.isnan(misfit([view, blind, blind], lines, level, None, ParallaxOptions())).all()
+    assert np.isnan(misfit(drawn([view, blind, blind], lines, level)[0], lines, level, None, ParallaxOptions())).all()

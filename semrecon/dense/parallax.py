@@ -145,17 +145,25 @@ def drawn(splines: Sequence[Spline], lines: Sightlines, heights: Array) -> tuple
     Values (views, rows, columns), and the mean of their gradients by column and row of the view (2, rows, columns).
     """
     values = np.empty((len(splines), *heights.shape), dtype=np.float32)
-    gradient = np.zeros((2, *heights.shape), dtype=np.float32)
-    counts = np.zeros(heights.shape, dtype=np.float32)
-    for view, spline in enumerate(splines):
-        samples = sampled(spline, lines, view, heights)
+    gradients = np.empty((len(splines), 2, *heights.shape), dtype=np.float32)
+
+    def one(view: int) -> None:
+        samples = sampled(splines[view], lines, view, heights)
         values[view] = np.where(visible(heights, lines, view), samples.values, np.nan)
         known = np.isfinite(values[view])
-        counts += known
-        gradient[0] += np.where(known, samples.across, 0)
-        gradient[1] += np.where(known, samples.down, 0)
-    gradient /= np.maximum(counts, 1)
-    return values, gradient
+        gradients[view] = np.where(known, samples.across, 0), np.where(known, samples.down, 0)
+
+    each(range(len(splines)), one)
+    counts = np.isfinite(values).sum(axis=0, dtype=np.float32)
+    return values, np.asarray(gradients.sum(axis=0) / np.maximum(counts, 1))
+
+
+def mean_of(values: Float) -> tuple[Float, Float]:
+    """Mean of the views (views, rows, columns) that see a place, 0 where none does, and their number."""
+    seen = np.isfinite(values)
+    counts = seen.sum(axis=0, dtype=np.float32)
+    total = np.where(seen, values, 0).sum(axis=0, dtype=np.float32)
+    return np.asarray(total / np.maximum(counts, 1)), np.asarray(counts)
 
 
 def alike(values: Float, noise: float, sigma_px: float) -> None:

@@ -30,8 +30,6 @@ ACROSS, SMOOTH = np.array([-0.5, 0.0, 0.5]), np.array([0.25, 0.5, 0.25])
 LEAST_COSINE = 0.4
 """The secant is bounded: steeper places give no more."""
 LEAST_BRIGHTNESS = 1e-3
-STEP = 0.02
-"""Change of slope over which tones are differentiated."""
 FIT_BLUR_PX, FIT_SURROUNDINGS_PX = 5.0, 20.0
 CAUCHY = 2.385
 FIT_ROUNDS = 8
@@ -190,21 +188,25 @@ def _robust(design: Array, target: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _tones(across: Float, down: Float, rotations: Array, law: Array, out: Float, start: int, stop: int) -> None:
+    """Secant law and side detector, mean over the views, and their derivatives; (p, q, 1) is the inward normal."""
+    half, views = -0.5 * law[0], len(rotations)
     for y in range(start, stop):
         for x in range(across.shape[1]):
             p, q = float(across[y, x]), float(down[y, x])
-            out[0, y, x] = _tone(p, q, rotations, law)
-            out[1, y, x] = (_tone(p + STEP, q, rotations, law) - _tone(p - STEP, q, rotations, law)) / (2 * STEP)
-            out[2, y, x] = (_tone(p, q + STEP, rotations, law) - _tone(p, q - STEP, rotations, law)) / (2 * STEP)
-
-
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _tone(p: float, q: float, rotations: Array, law: Array) -> float:
-    """Secant law and side detector, mean over the views; (p, q, 1) points along the inward normal."""
-    length, total = np.sqrt(p * p + q * q + 1.0), 0.0
-    for r in rotations:
-        x = (r[0, 0] * p + r[0, 1] * q + r[0, 2]) / length
-        y = (r[1, 0] * p + r[1, 1] * q + r[1, 2]) / length
-        z = (r[2, 0] * p + r[2, 1] * q + r[2, 2]) / length
-        total += -0.5 * law[0] * np.log(max(z, LEAST_COSINE)) + law[1] * x + law[2] * y
-    return total / len(rotations)
+            square = p * p + q * q + 1.0
+            length = np.sqrt(square)
+            cosines, right, below, by_p, by_q = 1.0, 0.0, 0.0, 0.0, 0.0
+            for r in rotations:
+                right += (r[0, 0] * p + r[0, 1] * q + r[0, 2]) / length
+                below += (r[1, 0] * p + r[1, 1] * q + r[1, 2]) / length
+                towards = r[2, 0] * p + r[2, 1] * q + r[2, 2]
+                by_p += law[1] * r[0, 0] / length + law[2] * r[1, 0] / length
+                by_q += law[1] * r[0, 1] / length + law[2] * r[1, 1] / length
+                cosines *= max(towards / length, LEAST_COSINE)
+                if towards > LEAST_COSINE * length:
+                    by_p += half * (r[2, 0] / towards - p / square)
+                    by_q += half * (r[2, 1] / towards - q / square)
+            side = law[1] * right + law[2] * below
+            out[0, y, x] = (half * np.log(cosines) + side) / views
+            out[1, y, x] = (by_p - side * p / square) / views
+            out[2, y, x] = (by_q - side * q / square) / views

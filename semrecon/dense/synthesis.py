@@ -22,7 +22,7 @@ import numpy as np
 
 from semrecon.data import Array, Mask, TiltSeries
 from semrecon.dense.coarse_grids import corrected
-from semrecon.dense.parallax import ParallaxOptions, bending, shared
+from semrecon.dense.parallax import ParallaxOptions, bending, drawn, mean_of, shared
 from semrecon.dense.pictures import filled, noise_model
 from semrecon.dense.reflectance import (
     CAUCHY,
@@ -37,9 +37,8 @@ from semrecon.dense.reflectance import (
 )
 from semrecon.dense.sightlines import Sightlines
 from semrecon.dense.smoothness import applied, edge_weights
-from semrecon.dense.spline import Float, Spline, sampled
+from semrecon.dense.spline import Float, Spline
 from semrecon.dense.tilt_tones import differences, gentle, misfit
-from semrecon.dense.visibility import visible
 from semrecon.matches.features import usable_pixels
 
 BRIGHTNESS_PX = 8.0
@@ -71,8 +70,8 @@ class ShadingOptions:
         Fall of their misfit, a pixel, from which shading counts in full.
     """
 
-    rounds: int = 8
-    steps: int = 25
+    rounds: int = 12
+    steps: int = 16
     deviation: float = 2.0
     detail_px: float = 4.0
     edge: float = 1.5
@@ -123,8 +122,9 @@ def shaded(
     black = black_level(series)
     if black is None:
         return Shaded(heights, np.zeros(heights.shape, np.float32), {"shading": "noise does not grow with brightness"})
-    mean, seen = mean_picture(splines, lines, heights)
-    reflectance = calibrated(mean, brightness(mean, black, BRIGHTNESS_PX), seen, heights, lines.matrices[:, :, :3])
+    mean, counts = mean_of(drawn(splines, lines, heights)[0])
+    bright = brightness(mean, black, BRIGHTNESS_PX)
+    reflectance = calibrated(mean, bright, counts >= 2, heights, lines.matrices[:, :, :3])
     detailed = heights
     for _ in range(options.rounds):
         detailed = detailed + step(splines, lines, detailed, reflectance, black, parallax, options)
@@ -154,8 +154,9 @@ def trust_in_shading(
     plain, detailed
         Heights without and with shading, (rows, columns), px.
     """
-    pairs = ((plain, None), (plain, black), (detailed, black))
-    fits = [misfit(splines, lines, heights, level, parallax) for heights, level in pairs]
+    without, given = drawn(splines, lines, plain)[0], drawn(splines, lines, detailed)[0]
+    cases = ((without, plain, None), (without, plain, black), (given, detailed, black))
+    fits = [misfit(views, lines, heights, level, parallax) for views, heights, level in cases]
     known = np.asarray(np.isfinite(np.stack(fits)).all(axis=0))
     share = np.maximum(shared(known, options.judged_px), 1e-3)
     unshaded, toned, after = (shared(np.where(known, fit, 0), options.judged_px) / share for fit in fits)
@@ -185,17 +186,6 @@ def black_level(series: TiltSeries) -> float | None:
     return float(np.clip(2 * np.sqrt(floor) / gain, least, most))
 
 
-def mean_picture(splines: Sequence[Spline], lines: Sightlines, heights: Array) -> tuple[Float, Mask]:
-    """Mean of the views drawn onto the surface, and where at least two see it, (rows, columns) each."""
-    total, counts = np.zeros(heights.shape, np.float32), np.zeros(heights.shape, np.float32)
-    for view, spline in enumerate(splines):
-        values = sampled(spline, lines, view, heights).values
-        known = visible(heights, lines, view) & np.isfinite(values)
-        total += np.where(known, values, 0)
-        counts += known
-    return np.asarray(total / np.maximum(counts, 1), dtype=np.float32), np.asarray(counts >= 2)
-
-
 def step(
     splines: Sequence[Spline],
     lines: Sightlines,
@@ -206,11 +196,12 @@ def step(
     options: ShadingOptions,
 ) -> Array:
     """One Gauss-Newton step, (rows, columns), px."""
-    by_views = differences(splines, lines, heights, black, parallax)
+    views, gradient = drawn(splines, lines, heights)
+    by_views = differences(views, gradient, lines, heights, black, parallax)
     bend = bending(heights, parallax)
     weights = edge_weights(heights, options.edge * bend) / bend**2
-    mean, seen = mean_picture(splines, lines, heights)
-    shading = linearised(mean, seen, black, heights, reflectance, lines.matrices[:, :, :3], options)
+    mean, counts = mean_of(views)
+    shading = linearised(mean, counts >= 2, black, heights, reflectance, lines.matrices[:, :, :3], options)
     bent, zero = np.zeros_like(weights), np.zeros_like(heights)
     right = by_views.asked() + shading.transposed(shading.weight * shading.residual)
     right = right - applied(zero, weights, heights, bent)

@@ -14,7 +14,6 @@ Places as steep as walls are left out: their glow, shadows and overhangs follow 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -22,10 +21,10 @@ import numpy as np
 
 from semrecon.data import Array
 from semrecon.dense.bands import in_bands
-from semrecon.dense.parallax import CAUCHY, ParallaxOptions, alike, drawn, shared
+from semrecon.dense.parallax import CAUCHY, ParallaxOptions, alike, mean_of, shared
 from semrecon.dense.reflectance import LEAST_COSINE, brightness, slopes, slopes_transposed
 from semrecon.dense.sightlines import Sightlines, motion
-from semrecon.dense.spline import Float, Spline
+from semrecon.dense.spline import Float
 
 STEEP_BLUR_PX = 2.0
 """Standard deviation of the blur under which steepness is judged ..."""
@@ -33,6 +32,9 @@ STEEP = 1.0
 """... and the slope at which the tone counts half."""
 BRIGHT_PX = 4.0
 """Standard deviation of the window in which the brightness is measured that tones multiply."""
+SURROUNDINGS_PX = 5.0
+"""Standard deviation of the surroundings of which each view shows its own brightness: the glow of walls and the shade
+of hollows change with tilt as well, by a few parts in a thousand over tens of pixels, and would tip what is flat."""
 MISFIT_BLUR_PX = 1.0
 NOISE_LEFT = 1 / np.sqrt(4 * np.pi * MISFIT_BLUR_PX**2)
 """Noise that is left of one unit by that blur."""
@@ -76,7 +78,8 @@ class Differences:
 
 
 def differences(
-    splines: Sequence[Spline],
+    views: Float,
+    gradient: Float,
     lines: Sightlines,
     heights: Array,
     black: float,
@@ -86,18 +89,18 @@ def differences(
 
     Parameters
     ----------
+    views, gradient
+        As from `semrecon.dense.parallax.drawn`, (views, rows, columns) and (2, rows, columns).
     black
         What makes grey values twice the root of the number of electrons, see `black_level`.
     """
-    values, gradient = drawn(splines, lines, heights)
+    values = views.copy()
     across, down = slopes(heights)
     weight, rotations = gentle(heights), np.ascontiguousarray(lines.matrices[:, 2, :3])
     show_mean_tone(values, heights, lines, black)
-    seen = np.isfinite(values)
-    mean = np.where(seen, values, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
-    bright = brightness(mean, black, BRIGHT_PX)
-    alike(values, 1.0, options.likeness_px)
-    geometry = np.array([lines.of(view) for view in range(len(splines))])
+    bright = brightness(mean_of(values)[0], black, BRIGHT_PX)
+    alike(values, 1.0, SURROUNDINGS_PX)
+    geometry = np.array([lines.of(view) for view in range(len(values))])
     out = np.zeros((9, *heights.shape), dtype=np.float32)
     in_bands(
         len(heights),
@@ -116,23 +119,23 @@ def show_mean_tone(values: Float, heights: Array, lines: Sightlines, black: floa
     in_bands(len(heights), lambda start, stop: _show_mean_tone(values, across, down, weight, beams, black, start, stop))
 
 
-def misfit(
-    splines: Sequence[Spline], lines: Sightlines, heights: Array, black: float | None, options: ParallaxOptions
-) -> Array:
+def misfit(views: Float, lines: Sightlines, heights: Array, black: float | None, options: ParallaxOptions) -> Array:
     """Say how much the views differ at heights (rows, columns), px: robustly, a view in excess, NaN where none is.
 
     Parameters
     ----------
+    views
+        Drawn onto the surface, (views, rows, columns).
     black
         As for `differences`; None compares without regard to tones.
     """
-    values, _ = drawn(splines, lines, heights)
+    values = views.copy()
     if black is not None:
         show_mean_tone(values, heights, lines, black)
     alike(values, 1.0, options.likeness_px)
     seen = np.isfinite(values)
-    excess = seen.sum(axis=0) - 1
-    values -= np.where(seen, values, 0).sum(axis=0) / np.maximum(excess + 1, 1)
+    mean, counts = mean_of(values)
+    values, excess = values - mean, counts - 1
     total = np.zeros(heights.shape)
     for one, known in zip(values, seen, strict=True):
         blurred = shared(np.where(known, one, 0), MISFIT_BLUR_PX) / NOISE_LEFT
