@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from semrecon.adjustment.camera_model import Cameras
 from semrecon.data import Array, PointCloud, Poses, Tracks
 
 
@@ -34,6 +35,8 @@ class Refinement:
         Noise of a sighting per coordinate, as estimated.
     unobservable
         Sentences: what the images do not say, and what holds it.
+    cameras, covariance
+        All parameters as one, and the covariance of `Cameras.vector`, (5 views + 1, 5 views + 1): 0 for what is held.
     iterations, converged
         Gauss-Newton steps taken, and whether the last one was negligible.
     history_px
@@ -57,6 +60,8 @@ class Refinement:
     points: PointCloud
     sigma_px: float
     unobservable: tuple[str, ...]
+    cameras: Cameras
+    covariance: Array
     iterations: int
     converged: bool
     history_px: tuple[float, ...] = ()

@@ -367,6 +367,8 @@ def _report(problem: _Problem, state: _State) -> Refinement:
             perspective=k > 0,
             keystone=keystone_sigmas(points.xyz_um, cameras.tilts_rad, cameras.axis_rad, k, noise_um),
         ),
+        cameras=cameras,
+        covariance=covariance,
         iterations=state.steps,
         converged=state.last_step <= SETTLED,
         history_px=(*state.history_px, ends_px),

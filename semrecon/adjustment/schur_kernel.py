@@ -149,7 +149,7 @@ def eliminate(
             w = weights[i, v]
             if not w > 0:
                 continue
-            sx, sy = _derivatives(
+            sx, sy = derivatives(
                 xyz[i], rotations[v], by_tilt[v], by_axis[v], translations[v], distortions[v], k, point, camera
             )
             ex, ey = (xy[i, v, 0] - centre[0]) * pixel - sx, (xy[i, v, 1] - centre[1]) * pixel - sy
@@ -176,7 +176,7 @@ def eliminate(
 
 
 @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _derivatives(
+def derivatives(
     x: Array,
     r: Array,
     by_tilt: Array,

@@ -21,6 +21,7 @@ from semrecon.dense.synthesis import ShadingOptions, shaded
 from semrecon.errors import InputError, MethodError
 from semrecon.matches.correspondence import CorrespondenceOptions, view_name
 from semrecon.methods.base import Gauge, Need
+from semrecon.methods.cameras_from_tones import with_tones
 from semrecon.pose.alignment import Alignment, align
 from semrecon.surface.completion import points_from_heights
 from semrecon.surface.height_origin import with_median_zero
@@ -92,6 +93,8 @@ class DenseMultiview:
         span = _span_px(series, aligned, lines)
         heights = coarse_to_fine(pictures, lines, span, self.sweep, self.parallax)
         splines = [spline_of(picture) for picture in pictures]
+        aligned, heights = with_tones(series, aligned, splines, heights, self.parallax, self.refinement.tilt_sigma_deg)
+        lines = sightlines(aligned.poses, aligned.distortions, series.optics, series.reference)
         heights, by_shading = self._shaded(series, splines, lines, heights)
         judged = confidence(pictures, splines, lines, heights, self.parallax, self.confidence)
         found_again = self._found_again(series, aligned, lines, pictures, heights, judged.trusted)
