@@ -1,12 +1,13 @@
 """What a height is worth: whether it can be trusted, and its standard deviation.
 
-Four parts make the variance. The noise of the images, through the normal equations: a window of standard deviation s
+Three parts make the variance. The noise of the images, through the normal equations: a window of standard deviation s
 and a prior of strength w on second differences leave ``1 / (H (4 pi s^2 + 8 sqrt(w / H)))``, the second term being the
 integral of ``1 / (H + w |k|^4)`` over all frequencies. What the model leaves out: brightness follows the normal, so
 that it moves over the surface as the specimen tilts. That bias grows with the length over which the picture changes,
 ``contrast / slope``, whatever the tilts and the dose, and most where the picture changes slowly: texture is fine,
-shading is not. And two of place: where the surface is rough within the window, or steep, a height is no better than
-the place it belongs to. How much each part counts was found from simulated series of known surfaces.
+shading is not. Most of it is gone where heights with shading are trusted. Both grow where the views differ by more than
+noise. And the slope of the surface: brightness on what is steep follows no law that is known here, and what a window
+holds lies at many heights. How much each part counts was found from simulated series of known surfaces.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from semrecon.data import Array, Mask
 from semrecon.dense.parallax import Equations, ParallaxOptions, bending, normal_equations, shared
 from semrecon.dense.pictures import Level, noise_variance, pyramid
 from semrecon.dense.sightlines import Sightlines
-from semrecon.dense.spline import Spline
+from semrecon.dense.spline import Float, Spline
 from semrecon.dense.sweep import WORST, Ladder, matching_costs
 
 FINE = 1 / 64
@@ -61,10 +62,12 @@ class ConfidenceOptions:
         The same, multiplied by the share of its gradient that is left after a blur of `slow_px`.
     slow_px
         Standard deviation of that blur.
-    relief
-        Model error in parts of the deviation of the heights from their mean in the window.
-    place_px
-        Uncertainty of the place, px: it counts by the slope of the surface.
+    explained
+        Share of the model error that is gone where heights with shading are trusted in full.
+    excess
+        Power of the misfit of the views, in units of noise, by which the variance grows.
+    steep_px
+        Standard deviation at slope 1, px; it grows with the square of the slope.
     most_px
         A height whose standard deviation is greater than this is not a measurement, px of parallax ...
     most_share
@@ -76,14 +79,15 @@ class ConfidenceOptions:
     doubt: float = 1.5
     radius_px: int = 5
     window_px: float = 4.0
-    noise: float = 2.2
-    length: float = 0.6
-    shading: float = 5.2
+    noise: float = 1.0
+    length: float = 1.2
+    shading: float = 8.8
     slow_px: float = 3.0
-    relief: float = 0.16
-    place_px: float = 1.2
-    most_px: float = 4.0
-    most_share: float = 0.03
+    explained: float = 0.8
+    excess: float = 2.0
+    steep_px: float = 0.5
+    most_px: float = 7.0
+    most_share: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -110,12 +114,19 @@ def confidence(
     splines: Sequence[Spline],
     lines: Sightlines,
     heights: Array,
+    by_shading: Float,
     parallax: ParallaxOptions,
     options: ConfidenceOptions,
 ) -> Confidence:
-    """Judge heights of the full picture (rows, columns), px."""
+    """Judge heights of the full picture (rows, columns), px.
+
+    Parameters
+    ----------
+    by_shading
+        How far each height is one with shading, (rows, columns), 0 to 1.
+    """
     equations = normal_equations(splines, lines, heights, noise_variance(0), parallax)
-    sigma = standard_deviation(equations, heights, pictures[lines.reference], parallax, options)
+    sigma = standard_deviation(equations, heights, by_shading, pictures[lines.reference], parallax, options)
     fastest = float(np.linalg.norm(lines.parallax(), axis=1).max())
     score = agreement(pictures, lines, heights, options.radius_px)
     trusted = score >= options.least_score
@@ -126,12 +137,19 @@ def confidence(
 
 
 def standard_deviation(
-    equations: Equations, heights: Array, picture: Level, parallax: ParallaxOptions, options: ConfidenceOptions
+    equations: Equations,
+    heights: Array,
+    by_shading: Float,
+    picture: Level,
+    parallax: ParallaxOptions,
+    options: ConfidenceOptions,
 ) -> Array:
-    """Noise, shading and place together, (rows, columns), px; infinite where the images say nothing.
+    """Noise, shading and slope together, (rows, columns), px; infinite where the images say nothing.
 
     Parameters
     ----------
+    by_shading
+        As for `confidence`.
     picture
         The reference view.
     """
@@ -140,16 +158,14 @@ def standard_deviation(
     seen = np.maximum(shared(equations.slope, window).astype(np.float64), 1e-12)
     slope = np.maximum(seen - GRADIENT_OF_NOISE / views, LEAST_SIGNAL * seen)
     information = np.maximum(shared(equations.information, window).astype(np.float64), 1e-12) * slope / seen
-    excess = shared(equations.misfit, window) / np.maximum(views - 1, 1e-6)
+    excess = np.maximum(shared(equations.misfit, window) / np.maximum(views - 1, 1e-6), 1.0)
     area = 4 * np.pi * parallax.window_px**2 + 8 / (np.sqrt(information) * bending(heights, parallax))
     changes = shared(equations.contrast, window) / slope
     slow = shared(squared_gradient(shared(picture.values, options.slow_px)), window) / slope
-    variance = (
-        options.noise**2 * np.maximum(excess, 1.0) / (information * area)
-        + np.asarray(options.length**2 + options.shading**2 * slow) * changes
-        + options.relief**2 * roughness(heights, window) ** 2
-        + options.place_px**2 * squared_gradient(shared(heights, STEEP_PX))
-    )
+    left_out = np.asarray(options.length**2 + options.shading**2 * slow) * changes
+    left_out *= (1 - options.explained * by_shading) ** 2
+    variance = excess**options.excess * (options.noise**2 * excess / (information * area) + left_out)
+    variance += (options.steep_px * squared_gradient(shared(heights, STEEP_PX))) ** 2
     return np.asarray(np.where((views > 1) & np.isfinite(variance), np.sqrt(variance), np.inf))
 
 
@@ -157,11 +173,6 @@ def squared_gradient(picture: NDArray[Any]) -> Array:
     """Square of the gradient by central differences, (rows, columns)."""
     down, across = np.gradient(picture)
     return np.asarray(down**2 + across**2, dtype=np.float64)
-
-
-def roughness(heights: Array, window_px: float) -> Array:
-    """Deviation of heights from their local mean, root of the mean square in a window, (rows, columns), px."""
-    return np.asarray(np.sqrt(shared((heights - shared(heights, window_px)) ** 2, window_px)), dtype=np.float64)
 
 
 def agreement(pictures: Sequence[Level], lines: Sightlines, heights: Array, radius_px: int) -> Array:

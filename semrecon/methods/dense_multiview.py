@@ -15,7 +15,7 @@ from semrecon.dense.consistency import confirmed
 from semrecon.dense.parallax import ParallaxOptions
 from semrecon.dense.pictures import Level, prepared
 from semrecon.dense.sightlines import Sightlines, sightlines
-from semrecon.dense.spline import Spline, spline_of
+from semrecon.dense.spline import Float, Spline, spline_of
 from semrecon.dense.surface import SweepOptions, coarse_to_fine
 from semrecon.dense.synthesis import ShadingOptions, shaded
 from semrecon.errors import InputError, MethodError
@@ -95,8 +95,8 @@ class DenseMultiview:
         splines = [spline_of(picture) for picture in pictures]
         aligned, heights = with_tones(series, aligned, splines, heights, self.parallax, self.refinement.tilt_sigma_deg)
         lines = sightlines(aligned.poses, aligned.distortions, series.optics, series.reference)
-        heights, by_shading = self._shaded(series, splines, lines, heights)
-        judged = confidence(pictures, splines, lines, heights, self.parallax, self.confidence)
+        heights, trust, by_shading = self._shaded(series, splines, lines, heights)
+        judged = confidence(pictures, splines, lines, heights, trust, self.parallax, self.confidence)
         found_again = self._found_again(series, aligned, lines, pictures, heights, judged.trusted)
         sigma = np.where(found_again, 1.0, self.confidence.doubt) * judged.sigma_px
         estimate = _estimate(series, aligned, heights, sigma, judged.trusted, found_again | judged.sure)
@@ -104,13 +104,13 @@ class DenseMultiview:
 
     def _shaded(
         self, series: TiltSeries, splines: Sequence[Spline], lines: Sightlines, heights: Array
-    ) -> tuple[Array, dict[str, Any]]:
-        """Heights with the detail that shading tells of, where that is wanted, and what is to be said of it."""
+    ) -> tuple[Array, Float, dict[str, Any]]:
+        """Heights with the detail that shading tells of, where that is wanted, its weight, and what is to be said."""
         if self.shading == "off":
-            return heights, {}
+            return heights, np.zeros(heights.shape, np.float32), {}
         everywhere = self.shading == "everywhere"
         found = shaded(series, splines, lines, heights, self.parallax, ShadingOptions(), everywhere=everywhere)
-        return found.heights, {"shading": found.diagnostics}
+        return found.heights, found.trust, {"shading": found.diagnostics}
 
     def _found_again(
         self,
