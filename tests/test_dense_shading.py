@@ -12,10 +12,11 @@ from semrecon.dense.coarse_grids import block_sums, corrected, spread
 from semrecon.dense.parallax import ParallaxOptions, refined, shared
 from semrecon.dense.pictures import prepared
 from semrecon.dense.reflectance import Reflectance, brightness, calibrated, less_surroundings, slopes, tones
+from semrecon.dense.shading import ShadingOptions, black_level, shaded
 from semrecon.dense.sightlines import sightlines
 from semrecon.dense.smoothness import applied, edge_weights
 from semrecon.dense.spline import spline_of
-from semrecon.dense.synthesis import Linearised, ShadingOptions, black_level, linearised, shaded
+from semrecon.dense.synthesis import Linearised, SynthesisOptions, linearised
 from semrecon.geometry import rotations_from_tilts
 
 UPRIGHT = np.eye(3)[None]
@@ -103,7 +104,7 @@ def test_coarse_grids_solve_what_fine_steps_alone_do_not() -> None:
 
 def near(heights: Array, mean: Array, reflectance: Reflectance) -> Linearised:
     everywhere = np.ones(SHAPE, dtype=np.bool_)
-    return linearised(mean.astype(np.float32), everywhere, 28.0, heights, reflectance, UPRIGHT, ShadingOptions())
+    return linearised(mean.astype(np.float32), everywhere, 28.0, heights, reflectance, UPRIGHT, SynthesisOptions())
 
 
 def test_the_transpose_is_the_transpose() -> None:
@@ -155,10 +156,11 @@ def median_errors(heights: Array, paint: Array, law: Reflectance) -> tuple[float
     series = photographs(heights, paint, law)
     poses = Poses(rotations_from_tilts(series.tilts_deg, 0.0), np.zeros((3, 3)))
     lines = sightlines(poses, np.tile(np.eye(2), (3, 1, 1)), series.optics, 0)
-    splines = [spline_of(prepared(view)) for view in series.views]
+    pictures = [prepared(view) for view in series.views]
+    splines = [spline_of(picture) for picture in pictures]
     start = shared(heights, 3.0).astype(np.float64) + relief(9, height=0.5)
     plain = refined(splines, lines, start, 1.0, ParallaxOptions())
-    found = shaded(series, splines, lines, plain, ParallaxOptions(), ShadingOptions()).heights
+    found = shaded(series, pictures, lines, plain, ParallaxOptions(), ShadingOptions()).heights
     errors = [(each - heights)[16:-16, 16:-16] for each in (plain, found)]
     first, second = (float(np.median(np.abs(error - np.median(error)))) for error in errors)
     return first, second
@@ -192,9 +194,8 @@ def test_noise_that_does_not_grow_leaves_the_heights_alone() -> None:
     assert black_level(series) is None
     poses = Poses(rotations_from_tilts(series.tilts_deg, 0.0), np.zeros((2, 3)))
     lines = sightlines(poses, np.tile(np.eye(2), (2, 1, 1)), series.optics, 0)
-    splines = [spline_of(prepared(view)) for view in series.views]
     start = relief(0)
-    found = shaded(series, splines, lines, start, ParallaxOptions(), ShadingOptions())
+    found = shaded(series, [prepared(view) for view in series.views], lines, start, ParallaxOptions(), ShadingOptions())
     assert_allclose(found.heights, start)
     assert not found.trust.any()
 

@@ -11,7 +11,7 @@ from semrecon.dense.parallax import ParallaxOptions, drawn, refined, shared
 from semrecon.dense.reflectance import slopes, slopes_transposed
 from semrecon.dense.sightlines import Sightlines, sightlines
 from semrecon.dense.spline import Spline
-from semrecon.dense.tilt_tones import Differences, differences, gentle, misfit, show_mean_tone
+from semrecon.dense.tilt_tones import Differences, Windows, differences, gentle, misfit, show_mean_tone
 from semrecon.geometry import rotations_from_tilts
 
 SHAPE = (80, 112)
@@ -57,7 +57,7 @@ def photographs(heights: Array, paint: Array, lines: Sightlines) -> list[Spline]
 def some_differences(heights: Array) -> Differences:
     lines = lines_of()
     views = photographs(relief(1), relief(2, height=0.1, reach=2.0), lines)
-    return differences(*drawn(views, lines, heights), lines, heights, BLACK, ParallaxOptions())
+    return differences(*drawn(views, lines, heights), lines, heights, BLACK, ParallaxOptions(), Windows())
 
 
 def test_the_transpose_of_slopes_is_the_transpose() -> None:
@@ -108,7 +108,7 @@ def test_true_heights_ask_for_no_change() -> None:
     lines, true = lines_of(), relief(1)
     views = photographs(true, relief(2, height=0.1, reach=2.0), lines)
     asked = [
-        np.abs(differences(*drawn(views, lines, heights), lines, heights, BLACK, ParallaxOptions()).asked())[
+        np.abs(differences(*drawn(views, lines, heights), lines, heights, BLACK, ParallaxOptions(), Windows()).asked())[
             16:-16, 16:-16
         ].mean()
         for heights in (true, true + relief(10, height=0.5))

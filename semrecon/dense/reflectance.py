@@ -60,6 +60,13 @@ class Reflectance:
     ridges: tuple[float, ...] = (0.05, 0.03)
     hollows: tuple[float, ...] = (0.02, 0.015)
 
+    def at_level(self, level: int) -> Reflectance:
+        """Measure in pixels of a pyramid level."""
+        step = 2.0**level
+        reaches = tuple(reach / step for reach in self.reaches_px)
+        ridges, hollows = (tuple(share * step for share in shares) for shares in (self.ridges, self.hollows))
+        return Reflectance(self.secant, self.side, reaches, ridges, hollows)
+
 
 @dataclass(frozen=True)
 class Tones:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +12,12 @@ from scipy import ndimage
 
 from semrecon.data import Array, Mask
 from semrecon.dense.aggregation import aggregated, best_rung
-from semrecon.dense.parallax import ParallaxOptions, refined
+from semrecon.dense.parallax import ParallaxOptions, refined, shared
 from semrecon.dense.pictures import Level, noise_variance, pyramid
 from semrecon.dense.sightlines import Sightlines
-from semrecon.dense.spline import spline_of
+from semrecon.dense.spline import Spline, spline_of
 from semrecon.dense.sweep import Ladder, matching_costs
+from semrecon.dense.tilt_tones import gentle
 
 MOST_RUNGS = 320
 WIDER = 3
@@ -34,6 +35,11 @@ SPIKE_PX = 5
 """Width of the median that takes spikes off heights before windows are laid along them ..."""
 ALONG_PX = 1.0
 """... and standard deviation of the blur that follows."""
+
+FIRMER = 8, 2
+"""Prices of small and of large changes at full size, in those of smaller pictures: there is more noise."""
+NEAR_WALL_PX = 3
+"""So far from a wall its new heights are taken."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +60,8 @@ class SweepOptions:
     reach_px
         Parallax of the narrow sweeps on either side, px.
     again
-        How many narrow sweeps follow the wide one at its size; at each larger size there is one.
+        How many narrow sweeps follow the wide one at its size, and draw walls anew at full size; in between there is
+        one at each size.
     """
 
     sweep_pixels: int = 300_000
@@ -196,7 +203,7 @@ def coarse_to_fine(
     """Find the heights of all pixels of the reference view.
 
     Sweeps end at the size that has at most `sweep_pixels` pixels; from there on heights are refined at every size. At
-    the full size of large pictures noise makes a sweep worse than the heights it starts from.
+    the full size of large pictures noise makes a sweep worse than the heights it starts from, but for walls.
 
     Parameters
     ----------
@@ -218,8 +225,43 @@ def coarse_to_fine(
             heights = enlarged(heights, levels[0].values.shape)
             if level > 0:
                 heights = narrow_sweep(levels, at_level, heights, noise, sweep)
-        heights = refined([spline_of(one) for one in levels], at_level, heights, noise, parallax)
-    return heights
+        splines = [spline_of(one) for one in levels]
+        heights = refined(splines, at_level, heights, noise, parallax)
+    return with_walls(pictures, splines, lines, heights, sweep, parallax) if first > 0 else heights
+
+
+def with_walls(
+    pictures: Sequence[Level],
+    splines: Sequence[Spline],
+    lines: Sightlines,
+    heights: Array,
+    sweep: SweepOptions,
+    parallax: ParallaxOptions,
+) -> Array:
+    """Draw steep places anew from a sweep at full size, (rows, columns), px.
+
+    What is halved smears walls over many pixels, and no refinement that wants smooth heights makes them upright again.
+    The new heights are taken where they or the old ones are steep, and close by; elsewhere the old are better.
+
+    Parameters
+    ----------
+    pictures, splines
+        All views at full size.
+    heights
+        So far, (rows, columns), px.
+    """
+    import cv2
+
+    small, large = FIRMER
+    firm = replace(sweep, small=small * sweep.small, large=large * sweep.large)
+    found = heights
+    for _ in range(sweep.again):
+        found = narrow_sweep(pictures, lines, found, 1.0, firm)
+    found = refined(splines, lines, found, 1.0, parallax)
+    steep = np.asarray(1 - np.minimum(gentle(heights), gentle(found)))
+    around = np.ones((2 * NEAR_WALL_PX + 1, 2 * NEAR_WALL_PX + 1), np.uint8)
+    near = shared(cv2.dilate(steep, around), NEAR_WALL_PX / 2)
+    return np.asarray(heights + near * (found - heights))
 
 
 def _swept(

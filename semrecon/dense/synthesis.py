@@ -1,7 +1,7 @@
-"""Heights whose parallax and whose shading both agree with the views: analysis by synthesis.
+"""Heights whose parallax and whose shading both agree with the views: analysis by synthesis, one step of it.
 
 With W the mean of the views drawn onto the surface, B its brightness on a wide scale and T the tone of the surface
-(`semrecon.dense.reflectance`), the stage minimises over the heights z::
+(`semrecon.dense.reflectance`), a step makes smaller, over the heights z::
 
     differences(z)  +  sum rho(P (W - B T(z)) / s)^2  +  sum w |second differences of z|^2
 
@@ -15,21 +15,18 @@ and what the reflectance cannot explain.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from semrecon.data import Array, Mask, TiltSeries
+from semrecon.data import Array, Mask
 from semrecon.dense.coarse_grids import corrected
 from semrecon.dense.parallax import ParallaxOptions, bending, drawn, mean_of, shared
-from semrecon.dense.pictures import filled, noise_model
 from semrecon.dense.reflectance import (
     CAUCHY,
     Reflectance,
     Tones,
     brightness,
-    calibrated,
     less_surroundings,
     slopes,
     slopes_transposed,
@@ -38,152 +35,40 @@ from semrecon.dense.reflectance import (
 from semrecon.dense.sightlines import Sightlines
 from semrecon.dense.smoothness import applied, edge_weights
 from semrecon.dense.spline import Float, Spline
-from semrecon.dense.tilt_tones import differences, gentle, misfit
-from semrecon.matches.features import usable_pixels
-
-BRIGHTNESS_PX = 8.0
-"""Standard deviation of the window in which the brightness of a place is measured."""
-BLACK_SHARE = 0.25, 0.85
-"""Twice the root of the electrons at black, in parts of that at the mean grey value: least and most."""
+from semrecon.dense.tilt_tones import Windows, differences, gentle
 
 
 @dataclass(frozen=True)
-class ShadingOptions:
-    """How shading is used.
+class SynthesisOptions:
+    """How one step weighs what the views say.
 
     Parameters
     ----------
-    rounds
-        Gauss-Newton steps.
     steps
-        Conjugate gradients at full size in each.
+        Conjugate gradients at full size.
     deviation
         Standard deviation of the mean picture from what the reflectance says, in units of the noise of one view.
+    brightness_px
+        Standard deviation of the window in which the brightness of a place is measured.
     detail_px
         Standard deviation of the surroundings that are taken away: shading says nothing beyond.
     edge
         Second difference from which a bend is taken for an edge, in standard deviations of the prior.
-    judged_px
-        Standard deviation of the window in which it is judged whether the views agree better on the heights with
-        shading than on those without.
-    better
-        Fall of their misfit, a pixel, from which shading counts in full.
+    windows
+        Of the differences between views.
     """
 
-    rounds: int = 12
     steps: int = 16
     deviation: float = 2.0
+    brightness_px: float = 8.0
     detail_px: float = 4.0
     edge: float = 1.5
-    judged_px: float = 12.0
-    better: float = 0.02
+    windows: Windows = field(default_factory=Windows)
 
-
-@dataclass(frozen=True)
-class Shaded:
-    """What shading made of the heights.
-
-    Parameters
-    ----------
-    heights
-        (rows, columns), px.
-    trust
-        Weight of the heights with shading, (rows, columns), 0 to 1: where it is 0, heights are as from parallax.
-    diagnostics
-        Side of the detector, mean weight of shading; or why shading was not used.
-    """
-
-    heights: Array
-    trust: Float
-    diagnostics: dict[str, Any]
-
-
-def shaded(
-    series: TiltSeries,
-    splines: Sequence[Spline],
-    lines: Sightlines,
-    heights: Array,
-    parallax: ParallaxOptions,
-    options: ShadingOptions,
-    *,
-    everywhere: bool = False,
-) -> Shaded:
-    """Add the detail that shading tells of to heights from parallax.
-
-    Parameters
-    ----------
-    splines
-        Of the prepared views at full size.
-    heights
-        From parallax, (rows, columns), px; finite.
-    everywhere
-        Use shading even where the views agree less on it.
-    """
-    black = black_level(series)
-    if black is None:
-        return Shaded(heights, np.zeros(heights.shape, np.float32), {"shading": "noise does not grow with brightness"})
-    mean, counts = mean_of(drawn(splines, lines, heights)[0])
-    bright = brightness(mean, black, BRIGHTNESS_PX)
-    reflectance = calibrated(mean, bright, counts >= 2, heights, lines.matrices[:, :, :3])
-    detailed = heights
-    for _ in range(options.rounds):
-        detailed = detailed + step(splines, lines, detailed, reflectance, black, parallax, options)
-    trust = np.ones(heights.shape, np.float32)
-    if not everywhere:
-        trust = trust_in_shading(splines, lines, heights, detailed, black, parallax, options)
-    found = {"detector_side": reflectance.side, "black_level": black, "share_by_shading": float(trust.mean())}
-    return Shaded(heights + trust * (detailed - heights), trust, found)
-
-
-def trust_in_shading(
-    splines: Sequence[Spline],
-    lines: Sightlines,
-    plain: Array,
-    detailed: Array,
-    black: float,
-    parallax: ParallaxOptions,
-    options: ShadingOptions,
-) -> Float:
-    """Weigh heights with shading against those without by how well the views agree on them, (rows, columns), 0 to 1.
-
-    A detail that the shading of the mean picture suggests moves what each view shows of it. If the surface has it, the
-    differences between the views become smaller; if it is paint, or a shadow, they grow, or were noise already.
-
-    Parameters
-    ----------
-    plain, detailed
-        Heights without and with shading, (rows, columns), px.
-    """
-    without, given = drawn(splines, lines, plain)[0], drawn(splines, lines, detailed)[0]
-    cases = ((without, plain, None), (without, plain, black), (given, detailed, black))
-    fits = [misfit(views, lines, heights, level, parallax) for views, heights, level in cases]
-    known = np.asarray(np.isfinite(np.stack(fits)).all(axis=0))
-    share = np.maximum(shared(known, options.judged_px), 1e-3)
-    unshaded, toned, after = (shared(np.where(known, fit, 0), options.judged_px) / share for fit in fits)
-    return np.asarray(np.clip((np.minimum(unshaded, toned) - after) / options.better, 0, 1), dtype=np.float32)
-
-
-def black_level(series: TiltSeries) -> float | None:
-    """Find what to add to stabilised grey values to make them twice the root of the number of electrons.
-
-    By photon transfer, from what the views have in common, within what the mean grey value makes likely: contrast is
-    set so that black is not far below the darkest places. None where noise does not grow with the grey value.
-    """
-    gains, floors, levels = [], [], []
-    for view in series.views:
-        valid = usable_pixels(view)
-        if not valid.any():
-            return None
-        image = filled(np.asarray(view.image, dtype=np.float64), valid)
-        noise = noise_model(image, valid)
-        gains.append(noise.gain)
-        floors.append(noise.floor)
-        levels.append(float(noise.stabilised(image)[valid].mean()))
-    gain, floor, level = (float(np.median(each)) for each in (gains, floors, levels))
-    if gain <= 0:
-        return None
-    least, most = (share / (1 - share) * level for share in BLACK_SHARE)
-    return float(np.clip(2 * np.sqrt(floor) / gain, least, most))
+    def at_level(self, level: int) -> SynthesisOptions:
+        """Measure in pixels of a pyramid level."""
+        brightness_px, detail_px = self.brightness_px / 2**level, self.detail_px / 2**level
+        return replace(self, brightness_px=brightness_px, detail_px=detail_px, windows=self.windows.at_level(level))
 
 
 def step(
@@ -193,11 +78,11 @@ def step(
     reflectance: Reflectance,
     black: float,
     parallax: ParallaxOptions,
-    options: ShadingOptions,
+    options: SynthesisOptions,
 ) -> Array:
     """One Gauss-Newton step, (rows, columns), px."""
     views, gradient = drawn(splines, lines, heights)
-    by_views = differences(views, gradient, lines, heights, black, parallax)
+    by_views = differences(views, gradient, lines, heights, black, parallax, options.windows)
     bend = bending(heights, parallax)
     weights = edge_weights(heights, options.edge * bend) / bend**2
     mean, counts = mean_of(views)
@@ -213,7 +98,12 @@ def step(
 
     diagonal = information + 6 * weights.sum(axis=0) + by_views.diagonal() + shading.diagonal() + 1e-6
     change = corrected(system, right, information, weights, diagonal, steps=options.steps)
-    limit = 0.7 / max(float(np.abs(lines.parallax()).max()), 1e-6)  # the linearisation holds for part of a pixel
+    return within_reach(change, lines)
+
+
+def within_reach(change: Array, lines: Sightlines) -> Array:
+    """Bound a change of heights (rows, columns), px: the linearisation holds for part of a pixel."""
+    limit = 0.7 / max(float(np.abs(lines.parallax()).max()), 1e-6)
     return np.clip(change, -limit, limit)
 
 
@@ -277,10 +167,10 @@ def linearised(
     heights: Array,
     reflectance: Reflectance,
     rotations: Array,
-    options: ShadingOptions,
+    options: SynthesisOptions,
 ) -> Linearised:
     """Compare the mean picture (rows, columns) with that of the present heights."""
-    bright = brightness(mean, black, BRIGHTNESS_PX)
+    bright = brightness(mean, black, options.brightness_px)
     tone = tones(heights, rotations, reflectance)
     grey = Tones(bright * tone.value, bright * tone.across, bright * tone.down, tuple(bright * b for b in tone.bends))
     residual = less_surroundings(mean - grey.value, seen, options.detail_px)

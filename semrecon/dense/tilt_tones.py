@@ -30,14 +30,31 @@ STEEP_BLUR_PX = 2.0
 """Standard deviation of the blur under which steepness is judged ..."""
 STEEP = 1.0
 """... and the slope at which the tone counts half."""
-BRIGHT_PX = 4.0
-"""Standard deviation of the window in which the brightness is measured that tones multiply."""
-SURROUNDINGS_PX = 5.0
-"""Standard deviation of the surroundings of which each view shows its own brightness: the glow of walls and the shade
-of hollows change with tilt as well, by a few parts in a thousand over tens of pixels, and would tip what is flat."""
 MISFIT_BLUR_PX = 1.0
 NOISE_LEFT = 1 / np.sqrt(4 * np.pi * MISFIT_BLUR_PX**2)
 """Noise that is left of one unit by that blur."""
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Windows of the tones.
+
+    Parameters
+    ----------
+    bright_px
+        Standard deviation of that in which the brightness is measured that tones multiply.
+    surroundings_px
+        Standard deviation of the surroundings of which each view shows its own brightness: the glow of walls and the
+        shade of hollows change with tilt as well, by a few parts in a thousand over tens of pixels, and would tip what
+        is flat.
+    """
+
+    bright_px: float = 4.0
+    surroundings_px: float = 5.0
+
+    def at_level(self, level: int) -> Windows:
+        """Measure in pixels of a pyramid level."""
+        return Windows(self.bright_px / 2**level, self.surroundings_px / 2**level)
 
 
 @dataclass(frozen=True)
@@ -84,8 +101,9 @@ def differences(
     heights: Array,
     black: float,
     options: ParallaxOptions,
+    windows: Windows,
 ) -> Differences:
-    """Compare all views at the present heights (rows, columns), px of the full picture, noise of one unit.
+    """Compare all views at the present heights (rows, columns), px, noise of one unit.
 
     Parameters
     ----------
@@ -98,8 +116,8 @@ def differences(
     across, down = slopes(heights)
     weight, rotations = gentle(heights), np.ascontiguousarray(lines.matrices[:, 2, :3])
     show_mean_tone(values, heights, lines, black)
-    bright = brightness(mean_of(values)[0], black, BRIGHT_PX)
-    alike(values, 1.0, SURROUNDINGS_PX)
+    bright = brightness(mean_of(values)[0], black, windows.bright_px)
+    alike(values, 1.0, windows.surroundings_px)
     geometry = np.array([lines.of(view) for view in range(len(values))])
     out = np.zeros((9, *heights.shape), dtype=np.float32)
     in_bands(

@@ -16,7 +16,7 @@ import numpy as np
 from semrecon.adjustment.camera_model import LOCAL, Cameras
 from semrecon.adjustment.refined_geometry import Refinement
 from semrecon.adjustment.tones import LEAST_VIEWS, Drawn, Stage, combined, tone_equations
-from semrecon.data import Array, TiltSeries
+from semrecon.data import Array, Poses, TiltSeries
 from semrecon.dense.parallax import ParallaxOptions, alike, drawn, refined, shared
 from semrecon.dense.reflectance import slopes
 from semrecon.dense.sightlines import Sightlines, sightlines
@@ -150,7 +150,7 @@ def _alignment(
     reached = np.where(sigma > 0, sigma, np.asarray(aligned.diagnostics.get("tilt_sigma_deg", sigma)))
     said = {"tilts_deg": tilts, "tilt_sigma_deg": reached, "magnifications": cameras.magnifications}
     poses = cameras.poses
-    of_group = type(poses)(poses.rotations[group], poses.translations_um[group])
+    of_group = Poses(poses.rotations[group], poses.translations_um[group])
     points = triangulate(
         found.tracks, of_group, series.optics, sigma_px=found.sigma_px, reference=group.index(series.reference)
     )

@@ -14,10 +14,10 @@ from semrecon.dense.confidence import ConfidenceOptions, confidence
 from semrecon.dense.consistency import confirmed
 from semrecon.dense.parallax import ParallaxOptions
 from semrecon.dense.pictures import Level, prepared
+from semrecon.dense.shading import ShadingOptions, shaded
 from semrecon.dense.sightlines import Sightlines, sightlines
-from semrecon.dense.spline import Float, Spline, spline_of
+from semrecon.dense.spline import Float, spline_of
 from semrecon.dense.surface import SweepOptions, coarse_to_fine
-from semrecon.dense.synthesis import ShadingOptions, shaded
 from semrecon.errors import InputError, MethodError
 from semrecon.matches.correspondence import CorrespondenceOptions, view_name
 from semrecon.methods.base import Gauge, Need
@@ -95,7 +95,7 @@ class DenseMultiview:
         splines = [spline_of(picture) for picture in pictures]
         aligned, heights = with_tones(series, aligned, splines, heights, self.parallax, self.refinement.tilt_sigma_deg)
         lines = sightlines(aligned.poses, aligned.distortions, series.optics, series.reference)
-        heights, trust, by_shading = self._shaded(series, splines, lines, heights)
+        heights, trust, by_shading = self._shaded(series, pictures, lines, heights)
         judged = confidence(pictures, splines, lines, heights, trust, self.parallax, self.confidence)
         found_again = self._found_again(series, aligned, lines, pictures, heights, judged.trusted)
         sigma = np.where(found_again, 1.0, self.confidence.doubt) * judged.sigma_px
@@ -103,13 +103,13 @@ class DenseMultiview:
         return replace(estimate, diagnostics={**estimate.diagnostics, **by_shading})
 
     def _shaded(
-        self, series: TiltSeries, splines: Sequence[Spline], lines: Sightlines, heights: Array
+        self, series: TiltSeries, pictures: Sequence[Level], lines: Sightlines, heights: Array
     ) -> tuple[Array, Float, dict[str, Any]]:
         """Heights with the detail that shading tells of, where that is wanted, its weight, and what is to be said."""
         if self.shading == "off":
             return heights, np.zeros(heights.shape, np.float32), {}
         everywhere = self.shading == "everywhere"
-        found = shaded(series, splines, lines, heights, self.parallax, ShadingOptions(), everywhere=everywhere)
+        found = shaded(series, pictures, lines, heights, self.parallax, ShadingOptions(), everywhere=everywhere)
         return found.heights, found.trust, {"shading": found.diagnostics}
 
     def _found_again(
