@@ -227,7 +227,7 @@ def coarse_to_fine(
                 heights = narrow_sweep(levels, at_level, heights, noise, sweep)
         splines = [spline_of(one) for one in levels]
         heights = refined(splines, at_level, heights, noise, parallax)
-    return with_walls(pictures, splines, lines, heights, sweep, parallax) if first > 0 else heights
+    return with_walls(pictures, splines, lines, heights, sweep, parallax)
 
 
 def with_walls(
