@@ -12,7 +12,7 @@ from semrecon.dense.coarse_grids import block_sums, corrected, spread
 from semrecon.dense.parallax import ParallaxOptions, refined, shared
 from semrecon.dense.pictures import prepared
 from semrecon.dense.reflectance import Reflectance, brightness, calibrated, less_surroundings, slopes, tones
-from semrecon.dense.shading import ShadingOptions, black_level, shaded
+from semrecon.dense.shading import ShadingOptions, black_level, change_at_half, shaded, stepped
 from semrecon.dense.sightlines import sightlines
 from semrecon.dense.smoothness import applied, edge_weights
 from semrecon.dense.spline import spline_of
@@ -169,6 +169,43 @@ def median_errors(heights: Array, paint: Array, law: Reflectance) -> tuple[float
 def test_shading_brings_out_detail() -> None:
     plain, found = median_errors(relief(1, height=2.0, reach=2.5), np.zeros(SHAPE), Reflectance(side=(0.05, 0.1)))
     assert found < 0.8 * plain
+
+
+def test_a_tone_does_not_depend_on_the_size_of_the_picture() -> None:
+    heights, law = relief(4, height=4.0, reach=12.0), Reflectance(side=(0.1, -0.05))
+    half = tones(shared(heights, 0.5).astype(np.float64)[::2, ::2] / 2, UPRIGHT, law.at_level(1)).value
+    whole = tones(heights, UPRIGHT, law).value[::2, ::2]
+    assert_allclose(half[8:-8, 8:-8], whole[8:-8, 8:-8], atol=0.1 * whole.std())
+
+
+def test_steps_at_half_the_size_find_what_is_wide() -> None:
+    heights = relief(1, height=0.5, reach=5.0)
+    series = photographs(heights, relief(8, height=0.1, reach=1.5), Reflectance(secant=1.0))
+    poses = Poses(rotations_from_tilts(series.tilts_deg, 0.0), np.zeros((3, 3)))
+    lines = sightlines(poses, np.tile(np.eye(2), (3, 1, 1)), series.optics, 0)
+    pictures, black = [prepared(view) for view in series.views], black_level(series)
+    assert black is not None
+    start = heights + relief(3, height=1.5, reach=10.0)
+    change = change_at_half(
+        pictures, lines, start, Reflectance(), black, ParallaxOptions(), ShadingOptions(rounds_at_half=8)
+    )
+    before, after = ((one - heights)[16:-16, 16:-16].std() for one in (start, start + change))
+    assert after < 0.5 * before
+
+
+def test_steps_with_momentum_arrive_sooner() -> None:
+    lines = sightlines(
+        Poses(rotations_from_tilts(np.array([0.0, 6.0]), 0.0), np.zeros((2, 3))),
+        np.tile(np.eye(2), (2, 1, 1)),
+        Optics(1.0, SHAPE[1], SHAPE[0]),
+        0,
+    )
+    goal = relief(2, height=0.5)
+    left = [
+        np.abs(stepped(lambda z: 0.1 * (goal - z), lines, np.zeros(SHAPE), 10, momentum) - goal).mean()
+        for momentum in (0.0, 0.5)
+    ]
+    assert left[1] < 0.6 * left[0]
 
 
 def test_paint_is_not_taken_for_relief() -> None:

@@ -20,6 +20,7 @@ from semrecon.dense.surface import (
     step_height,
     swept,
     wide_sweep,
+    with_walls,
     without_spikes,
 )
 from semrecon.dense.sweep import UNKNOWN, Ladder, correlate, matching_costs
@@ -297,6 +298,18 @@ def test_a_sweep_may_end_at_a_smaller_size_and_start_from_a_plane():
     found = swept(pictures, lines, (-10.0, 10.0), SweepOptions(), finest=1, plane=heights)
     assert found.shape == (50, 70)
     assert np.median(np.abs(2 * found - heights[::2, ::2])[5:-5, 22:-22]) < 1.0
+
+
+def test_walls_that_were_smeared_are_drawn_anew_and_flat_ground_stays():
+    step, (_, _, lines) = 12.0, cameras((-8.0, 0.0, 8.0), shape=(100, 140))
+    true = np.where(np.arange(140) < 70, 0.0, step) * np.ones((100, 1))
+    pictures = painted(true, lines, noise=1.0)
+    views = [spline_of(picture) for picture in pictures]
+    smeared = ndimage.gaussian_filter1d(true, 5.0, axis=1)
+    found = with_walls(pictures, views, lines, smeared, SweepOptions(), ParallaxOptions())
+    wall, ground = np.s_[10:-10, 60:80], np.s_[10:-10, 20:45]
+    assert np.abs(found - true)[wall].mean() < 0.7 * np.abs(smeared - true)[wall].mean()
+    np.testing.assert_allclose(found[ground], smeared[ground], atol=0.1)
 
 
 def test_the_lowest_cost_is_found_between_the_rungs():

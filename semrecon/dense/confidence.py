@@ -1,13 +1,14 @@
 """What a height is worth: whether it can be trusted, and its standard deviation.
 
-Three parts make the variance. The noise of the images, through the normal equations: a window of standard deviation s
+Four parts make the variance. The noise of the images, through the normal equations: a window of standard deviation s
 and a prior of strength w on second differences leave ``1 / (H (4 pi s^2 + 8 sqrt(w / H)))``, the second term being the
 integral of ``1 / (H + w |k|^4)`` over all frequencies. What the model leaves out: brightness follows the normal, so
 that it moves over the surface as the specimen tilts. That bias grows with the length over which the picture changes,
 ``contrast / slope``, whatever the tilts and the dose, and most where the picture changes slowly: texture is fine,
 shading is not. Most of it is gone where heights with shading are trusted. Both grow where the views differ by more than
-noise. And the slope of the surface: brightness on what is steep follows no law that is known here, and what a window
-holds lies at many heights. How much each part counts was found from simulated series of known surfaces.
+noise. Then the slope of the surface: brightness on what is steep follows no law that is known here, and what a window
+holds lies at many heights. And last, how far a sweep at full size moved the heights: where two ways to find them
+disagree, neither is known to be right. How much each part counts was found from simulated series of known surfaces.
 """
 
 from __future__ import annotations
@@ -68,6 +69,10 @@ class ConfidenceOptions:
         Power of the misfit of the views, in units of noise, by which the variance grows.
     steep_px
         Standard deviation at slope 1, px; it grows with the square of the slope.
+    redrawn
+        Standard deviation in parts of how far the sweep at full size moved the heights ...
+    redrawn_px
+        ... in a window of this standard deviation.
     most_px
         A height whose standard deviation is greater than this is not a measurement, px of parallax ...
     most_share
@@ -80,12 +85,14 @@ class ConfidenceOptions:
     radius_px: int = 5
     window_px: float = 4.0
     noise: float = 1.0
-    length: float = 1.2
-    shading: float = 8.8
+    length: float = 0.88
+    shading: float = 6.5
     slow_px: float = 3.0
     explained: float = 0.8
     excess: float = 2.0
-    steep_px: float = 0.5
+    steep_px: float = 0.37
+    redrawn: float = 0.68
+    redrawn_px: float = 8.0
     most_px: float = 7.0
     most_share: float = 0.05
 
@@ -115,6 +122,7 @@ def confidence(
     lines: Sightlines,
     heights: Array,
     by_shading: Float,
+    redrawn: Array,
     parallax: ParallaxOptions,
     options: ConfidenceOptions,
 ) -> Confidence:
@@ -124,9 +132,11 @@ def confidence(
     ----------
     by_shading
         How far each height is one with shading, (rows, columns), 0 to 1.
+    redrawn
+        How far a sweep at full size moved it, (rows, columns), px.
     """
     equations = normal_equations(splines, lines, heights, noise_variance(0), parallax)
-    sigma = standard_deviation(equations, heights, by_shading, pictures[lines.reference], parallax, options)
+    sigma = standard_deviation(equations, heights, by_shading, redrawn, pictures[lines.reference], parallax, options)
     fastest = float(np.linalg.norm(lines.parallax(), axis=1).max())
     score = agreement(pictures, lines, heights, options.radius_px)
     trusted = score >= options.least_score
@@ -140,15 +150,16 @@ def standard_deviation(
     equations: Equations,
     heights: Array,
     by_shading: Float,
+    redrawn: Array,
     picture: Level,
     parallax: ParallaxOptions,
     options: ConfidenceOptions,
 ) -> Array:
-    """Noise, shading and slope together, (rows, columns), px; infinite where the images say nothing.
+    """All four together, (rows, columns), px; infinite where the images say nothing.
 
     Parameters
     ----------
-    by_shading
+    by_shading, redrawn
         As for `confidence`.
     picture
         The reference view.
@@ -166,6 +177,7 @@ def standard_deviation(
     left_out *= (1 - options.explained * by_shading) ** 2
     variance = excess**options.excess * (options.noise**2 * excess / (information * area) + left_out)
     variance += (options.steep_px * squared_gradient(shared(heights, STEEP_PX))) ** 2
+    variance += options.redrawn**2 * shared(redrawn**2, options.redrawn_px)
     return np.asarray(np.where((views > 1) & np.isfinite(variance), np.sqrt(variance), np.inf))
 
 

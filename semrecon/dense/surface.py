@@ -199,8 +199,8 @@ def coarse_to_fine(
     span_px: tuple[float, float],
     sweep: SweepOptions,
     parallax: ParallaxOptions,
-) -> Array:
-    """Find the heights of all pixels of the reference view.
+) -> tuple[Array, Array]:
+    """Find the heights of all pixels of the reference view, and how far the last sweep moved them.
 
     Sweeps end at the size that has at most `sweep_pixels` pixels; from there on heights are refined at every size. At
     the full size of large pictures noise makes a sweep worse than the heights it starts from, but for walls.
@@ -214,7 +214,8 @@ def coarse_to_fine(
 
     Returns
     -------
-    (rows, columns), px of the full picture, a number everywhere: what can be trusted is found out afterwards.
+    Heights (rows, columns), px of the full picture, a number everywhere: what can be trusted is found out afterwards.
+    And by how much `with_walls` changed them.
     """
     first = halvings(pictures[0].values.size, sweep)
     heights = swept(pictures, lines, span_px, sweep, finest=first)
@@ -227,7 +228,8 @@ def coarse_to_fine(
                 heights = narrow_sweep(levels, at_level, heights, noise, sweep)
         splines = [spline_of(one) for one in levels]
         heights = refined(splines, at_level, heights, noise, parallax)
-    return with_walls(pictures, splines, lines, heights, sweep, parallax)
+    upright = with_walls(pictures, splines, lines, heights, sweep, parallax)
+    return upright, upright - heights
 
 
 def with_walls(

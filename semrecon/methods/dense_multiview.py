@@ -91,12 +91,12 @@ class DenseMultiview:
         lines = sightlines(aligned.poses, aligned.distortions, series.optics, series.reference)
         pictures = [prepared(view) for view in series.views]
         span = _span_px(series, aligned, lines)
-        heights = coarse_to_fine(pictures, lines, span, self.sweep, self.parallax)
+        heights, redrawn = coarse_to_fine(pictures, lines, span, self.sweep, self.parallax)
         splines = [spline_of(picture) for picture in pictures]
         aligned, heights = with_tones(series, aligned, splines, heights, self.parallax, self.refinement.tilt_sigma_deg)
         lines = sightlines(aligned.poses, aligned.distortions, series.optics, series.reference)
         heights, trust, by_shading = self._shaded(series, pictures, lines, heights)
-        judged = confidence(pictures, splines, lines, heights, trust, self.parallax, self.confidence)
+        judged = confidence(pictures, splines, lines, heights, trust, redrawn, self.parallax, self.confidence)
         found_again = self._found_again(series, aligned, lines, pictures, heights, judged.trusted)
         sigma = np.where(found_again, 1.0, self.confidence.doubt) * judged.sigma_px
         estimate = _estimate(series, aligned, heights, sigma, judged.trusted, found_again | judged.sure)
