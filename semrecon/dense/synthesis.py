@@ -58,7 +58,7 @@ class SynthesisOptions:
         Of the differences between views.
     """
 
-    steps: int = 16
+    steps: int = 12
     deviation: float = 2.0
     brightness_px: float = 8.0
     detail_px: float = 4.0
