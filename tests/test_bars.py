@@ -18,7 +18,7 @@ from benchmarks.__main__ import app
 from benchmarks.bars import bar as catalogue
 from benchmarks.bars import depth, left_out, real, shading, size, study, tilts
 from benchmarks.bars.bar import Bar, all_bars
-from benchmarks.bars.derived import at_same_points, sampled, tilt_errors_deg
+from benchmarks.bars.derived import at_same_points, in_pits, sampled, tilt_errors_deg
 from benchmarks.bars.entrants import DENSE, SEED, OfPair, dense, pair_of, seed_of_pair
 from benchmarks.bars.honesty import sigma_lines
 from benchmarks.bars.limit import efficiency_lines
@@ -250,6 +250,20 @@ def test_at_the_same_points_truth_is_right_and_points_are_as_wrong_as_they_are(g
     half = at_same_points(replace(exact, heights=holed), exact, truth, series)
     assert 0.4 < half["same_points_share"] < 0.6
     assert at_same_points(Estimate(), exact, truth, series)["same_points_share"] == 0
+    pits = in_pits(truth.height_map(series.reference), exact.points.xy_px, 3 * series.optics.pixel_size_um)
+    filled = replace(exact.points, xyz_um=exact.points.xyz_um + np.outer(np.where(pits, 7.0, 0.0), [0, 0, 1]))
+    raised = at_same_points(exact, replace(exact, points=filled), truth, series)
+    assert raised["same_points_filled_um"] == pytest.approx(7, abs=1e-6)
+    assert raised["same_points_dense_filled_um"] == pytest.approx(0, abs=1e-6)
+    assert raised["same_points_in_pits"] == pits.mean()
+
+
+def test_pits_are_places_deeper_than_what_is_round_them() -> None:
+    true = np.zeros((60, 80))
+    true[20:25, 30:35], true[40:, 60:] = -5.0, -5.0  # a pit, and ground that is merely lower
+    true[0, 0] = np.nan
+    places = np.array([[32.0, 22.0], [75.0, 55.0], [10.0, 10.0], [0.0, 0.0]])
+    assert in_pits(true, places, 3.0).tolist() == [True, False, False, True]
 
 
 def test_heights_between_pixels_are_those_of_a_plane() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bars.entrants import DENSE, SEED, dense, seed_of_pair
-from benchmarks.bars.line import INF, Asked, Line, ratio_over_specimens
+from benchmarks.bars.line import INF, TOLD, Asked, Line, mean_over_specimens, ratio_over_specimens
 from benchmarks.bars.plan import Found, Question
 from benchmarks.bars.specimens import Specimens
 from benchmarks.suite import BenchScene
@@ -78,7 +78,14 @@ def diatom_lines(specimens: Specimens, found: Found) -> list[Line]:
     note = f"{_um(one)} against {_um(other)} um at {_percent(share)} of the points of {SEED}"
     failures = [*found.failures(scenes, DENSE), *found.failures(scenes, SEED)]
     measured = ratio_over_specimens([_known(ratios)])
-    return [Line("diatom", f"{DIATOM}, same points", NO_WORSE, measured, "; ".join([note, *failures]))]
+    head = Line("diatom", f"{DIATOM}, same points", NO_WORSE, measured, "; ".join([note, *failures]))
+    told = (
+        ("share of these points in pits", "in_pits", ""),
+        ("how much higher heights come out there than at the others, um", "dense_filled_um", ""),
+        ("the same of the points themselves, um", "filled_um", f"by {SEED}"),
+    )
+    values = {name: mean_over_specimens(found.numbers(scenes, DENSE, f"same_points_{name}")) for _, name, _ in told}
+    return [head, *(Line("diatom", what, TOLD, values[name], said, detail=True) for what, name, said in told)]
 
 
 def _against(

@@ -5,19 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, median_filter
 
 from benchmarks.judging.evaluate import true_heights
 from benchmarks.running.bench_ledger import BenchLedger
 from benchmarks.running.case import Case
 from benchmarks.running.stored import unpacked
-from semrecon.data import Array, Estimate, HeightMap, Poses, TiltSeries
+from semrecon.data import Array, Estimate, HeightMap, Mask, Poses, TiltSeries
 from semrecon.geometry import nominal_poses, project, view_from_world
 from semrecon.numerics.motion import rotation_angle_rad
 from semsim.truth import GroundTruth
 
 Numbers = dict[str, float]
 NAN = float("nan")
+AROUND_PX, PIT_PX = 21, 3.0
+"""A point lies in a pit if it is so much deeper than the median height of a square of that width about it, px."""
 
 
 def same_points(ledger: Path, dense: Case, points: Case) -> tuple[tuple[str, str], Numbers]:
@@ -49,6 +51,8 @@ def at_same_points(dense: Estimate, points: Estimate, truth: GroundTruth, series
     Returns
     -------
     `same_points_dense_um`, `same_points_um`, `same_points_ratio`, and `same_points_share` of the points that took part.
+    Of these, `same_points_in_pits` is the share in pits, and `same_points_dense_filled_um` and
+    `same_points_filled_um` say how much higher heights and points come out there than elsewhere.
     """
     missing = dict.fromkeys(("same_points_dense_um", "same_points_um", "same_points_ratio"), NAN)
     if dense.heights is None or points.points is None or not len(points.points):
@@ -64,7 +68,31 @@ def at_same_points(dense: Estimate, points: Estimate, truth: GroundTruth, series
     one, other = (_median_error(each[both] - true_um[both]) for each in (dense_um, z_um))
     share = both.sum() / max(int(np.isfinite(true_um).sum()), 1)
     numbers = {"same_points_dense_um": one, "same_points_um": other, "same_points_share": float(share)}
+    pits = in_pits(truth.height_map(series.reference), xy_px[both], PIT_PX * series.optics.pixel_size_um)
+    filled = {
+        f"same_points_{name}filled_um": _higher((each - true_um)[both], pits)
+        for name, each in (("dense_", dense_um), ("", z_um))
+    }
+    numbers |= filled | {"same_points_in_pits": float(pits.mean())}
     return numbers | {"same_points_ratio": one / other if other > 0 else NAN}
+
+
+def in_pits(true_um: Array, xy_px: Array, deeper_um: float) -> Mask:
+    """Say which places (n, 2), px, lie so much deeper than what is round them, (n,).
+
+    Parameters
+    ----------
+    true_um
+        True heights, (rows, columns), NaN where there is nothing: that counts as the deepest place.
+    """
+    known = np.where(np.isfinite(true_um), true_um, np.nanmin(true_um))
+    depth = median_filter(known, AROUND_PX) - known
+    return np.asarray(map_coordinates(depth, xy_px[:, ::-1].T, order=0, mode="nearest") > deeper_um)
+
+
+def _higher(errors_um: Array, there: Mask) -> float:
+    """Median error there above that elsewhere, um; NaN where one of them has none."""
+    return float(np.median(errors_um[there]) - np.median(errors_um[~there])) if 0 < there.sum() < there.size else NAN
 
 
 def seen_points(estimate: Estimate, series: TiltSeries) -> tuple[Array, Array]:
