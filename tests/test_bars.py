@@ -315,6 +315,17 @@ def test_a_specimen_without_an_answer_fails_the_bar_with_its_sentence(whole: Spe
     assert "dense_multiview on pollen, specimen 8002: there is nothing to see" in line.note
 
 
+def test_the_bar_on_the_diatom_tells_what_lies_in_pits(whole: Specimens) -> None:
+    scenes, names = whole.of("diatom"), ("ratio", "share", "dense_um", "um", "in_pits", "dense_filled_um", "filled_um")
+    numbers = dict(zip((f"same_points_{name}" for name in names), (1.2, 0.99, 1.2, 1.0, 0.4, 3.0, 2.0), strict=True))
+    head, *told = depth.diatom_lines(whole, found_of({(scene.name, DENSE): numbers for scene in scenes}))
+    assert (head.verdict, head.measured.value) == ("fails", pytest.approx(1.2))
+    assert [line.measured.value for line in told] == pytest.approx([0.4, 3.0, 2.0])
+    lone = numbers | {"same_points_filled_um": float("nan")}  # one specimen whose points are all outside of pits
+    answers = {(scene.name, DENSE): numbers if k else lone for k, scene in enumerate(scenes)}
+    assert depth.diatom_lines(whole, found_of(answers))[-1].measured.value == pytest.approx(2.0)
+
+
 def test_on_smooth_surfaces_the_best_other_is_one_that_always_answers(whole: Specimens) -> None:
     scores: dict = {}
     for k, scene in enumerate(whole.of("fracture_smooth", channels=True)):

@@ -84,7 +84,9 @@ def diatom_lines(specimens: Specimens, found: Found) -> list[Line]:
         ("how much higher heights come out there than at the others, um", "dense_filled_um", ""),
         ("the same of the points themselves, um", "filled_um", f"by {SEED}"),
     )
-    values = {name: mean_over_specimens(found.numbers(scenes, DENSE, f"same_points_{name}")) for _, name, _ in told}
+    values = {
+        name: mean_over_specimens([_known(found.numbers(scenes, DENSE, f"same_points_{name}"))]) for _, name, _ in told
+    }
     return [head, *(Line("diatom", what, TOLD, values[name], said, detail=True) for what, name, said in told)]
 
 
