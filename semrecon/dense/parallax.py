@@ -97,9 +97,14 @@ def refined(
         bend = bending(heights, options)
         weights = edge_weights(heights, options.edge * bend) / bend**2
         step = solved(information, right, weights, heights, SOLVER_STEPS) - heights
-        limit = 0.7 / max(float(np.abs(lines.parallax()).max()), 1e-6)  # the linearisation holds for part of a pixel
-        heights = heights + np.clip(step, -limit, limit)
+        heights = heights + within_reach(step, lines)
     return heights
+
+
+def within_reach(change: Array, lines: Sightlines) -> Array:
+    """Bound a change of heights (rows, columns), px: the linearisation holds for part of a pixel."""
+    limit = 0.7 / max(float(np.abs(lines.parallax()).max()), 1e-6)
+    return np.clip(change, -limit, limit)
 
 
 def bending(heights: Array, options: ParallaxOptions) -> Array:

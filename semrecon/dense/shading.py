@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from semrecon.data import Array, TiltSeries
-from semrecon.dense.parallax import ParallaxOptions, drawn, mean_of, shared
+from semrecon.dense.parallax import ParallaxOptions, drawn, mean_of, shared, within_reach
 from semrecon.dense.pictures import HALVING_BLUR_PX, Level, filled, noise_model, noise_variance, pyramid
 from semrecon.dense.reflectance import Reflectance, brightness, calibrated
 from semrecon.dense.sightlines import Sightlines
 from semrecon.dense.spline import Float, Spline, spline_of
 from semrecon.dense.surface import enlarged
-from semrecon.dense.synthesis import SynthesisOptions, step, within_reach
+from semrecon.dense.synthesis import SynthesisOptions, step
 from semrecon.dense.tilt_tones import misfit
 from semrecon.matches.features import usable_pixels
 

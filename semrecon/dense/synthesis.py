@@ -21,7 +21,7 @@ import numpy as np
 
 from semrecon.data import Array, Mask
 from semrecon.dense.coarse_grids import corrected
-from semrecon.dense.parallax import ParallaxOptions, bending, drawn, mean_of, shared
+from semrecon.dense.parallax import ParallaxOptions, bending, drawn, mean_of, shared, within_reach
 from semrecon.dense.reflectance import (
     CAUCHY,
     Reflectance,
@@ -99,12 +99,6 @@ def step(
     diagonal = information + 6 * weights.sum(axis=0) + by_views.diagonal() + shading.diagonal() + 1e-6
     change = corrected(system, right, information, weights, diagonal, steps=options.steps)
     return within_reach(change, lines)
-
-
-def within_reach(change: Array, lines: Sightlines) -> Array:
-    """Bound a change of heights (rows, columns), px: the linearisation holds for part of a pixel."""
-    limit = 0.7 / max(float(np.abs(lines.parallax()).max()), 1e-6)
-    return np.clip(change, -limit, limit)
 
 
 @dataclass(frozen=True)
