@@ -36,7 +36,7 @@ class SurfaceBuffer:
         (rows, columns, 3) world; NaN for a miss.
     normal
         (rows, columns, 3) unit outward normal, world, interpolated between the normals of the triangle's corners;
-        NaN for a miss.
+        NaN for a miss. Outward is the side of the triangle that the beam meets, however its corners are ordered.
     face
         (rows, columns) triangle index, -1 for a miss.
     """
@@ -194,9 +194,10 @@ def _complete(
             x, y = float(column), float(row)
             if beams.size > 0:
                 x, y = beams[row, column, 0], beams[row, column, 1]
-            weight_b = weight_c = 0.0
+            weight_b = weight_c = along = 0.0
             for k in range(3):
                 way = direction[0, k] + x * direction[1, k] + y * direction[2, k]
+                along += way * face_normals[f, k]
                 at[k] = origin[0, k] + x * origin[1, k] + y * origin[2, k] + depth[row, column] * way
                 weight_b += (at[k] - vertices[a, k]) * to_b[k]
                 weight_c += (at[k] - vertices[a, k]) * to_c[k]
@@ -210,9 +211,10 @@ def _complete(
                 )
                 squared += at[k] * at[k]
             # Opposite corner normals can cancel on a folded mesh; the triangle's own normal is then the honest answer.
-            length = np.sqrt(squared)
+            # A mesh that is inside out is met from behind: its normals are turned round.
+            length, side = np.sqrt(squared), -1.0 if along > 0 else 1.0
             for k in range(3):
-                normal[row, column, k] = at[k] / length if length > 1e-6 else face_normals[f, k]
+                normal[row, column, k] = side * (at[k] / length if length > 1e-6 else face_normals[f, k])
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -160,6 +160,17 @@ def test_left_to_itself_it_draws_where_it_can_and_casts_rays_elsewhere(ball):
         assert np.array_equal(auto.depth_um, named.depth_um, equal_nan=True)
 
 
+@pytest.mark.parametrize("working_distance_um", [None, 30.0])
+def test_a_mesh_that_is_inside_out_looks_the_same(ball, working_distance_um):
+    microscope = Microscope(2.4 / 200, 200, 180, working_distance_um=working_distance_um)
+    pose = poses(TiltSchedule((8.0,)))[0]
+    inside_out = Mesh(ball.vertices_um, np.ascontiguousarray(ball.faces[:, ::-1]))
+    right, turned = (surface_buffer(mesh, microscope, pose) for mesh in (ball, inside_out))
+    assert np.array_equal(right.miss, turned.miss)
+    assert np.nanmax(np.abs(right.normal - turned.normal)) < 1e-9
+    assert not right.miss.all()
+
+
 def test_where_corner_normals_cancel_the_triangle_answers(ball):
     """A sheet and its own back share corners, whose normals cancel."""
     corners = np.array([[-9.0, -9.0, 0.0], [9.0, -9.0, 0.0], [0.0, 9.0, 0.0]])
