@@ -100,8 +100,9 @@ def test_a_level_surface_keeps_its_grey_values() -> None:
 
 def test_steep_places_count_nothing_and_level_ones_in_full() -> None:
     ramp = np.tile(np.arange(SHAPE[1], dtype=np.float64), (SHAPE[0], 1))
-    for slope, weight in ((0.0, 1.0), (1.0, 0.5), (4.0, 0.0)):
+    for slope, weight in ((0.0, 1.0), (2.0, 0.5), (8.0, 0.0)):
         assert gentle(slope * ramp)[40, 56] == pytest.approx(weight, abs=0.01)
+        assert gentle(slope / 2 * ramp, 1.0)[40, 56] == pytest.approx(weight, abs=0.01)
 
 
 def test_true_heights_ask_for_no_change() -> None:

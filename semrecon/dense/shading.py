@@ -51,7 +51,7 @@ class ShadingOptions:
 
     synthesis: SynthesisOptions = field(default_factory=SynthesisOptions)
     rounds: int = 6
-    rounds_at_half: int = 16
+    rounds_at_half: int = 8
     momentum: float = 0.5
     judged_px: float = 12.0
     better: float = 0.025

@@ -38,8 +38,10 @@ ALONG_PX = 1.0
 
 FIRMER = 8, 2
 """Prices of small and of large changes at full size, in those of smaller pictures: there is more noise."""
+WALL = 1.0
+"""Slope at which half of what a wall is drawn anew to is taken ..."""
 NEAR_WALL_PX = 3
-"""So far from a wall its new heights are taken."""
+"""... and so far from it."""
 
 
 @dataclass(frozen=True)
@@ -260,7 +262,7 @@ def with_walls(
     for _ in range(sweep.again):
         found = narrow_sweep(pictures, lines, found, 1.0, firm)
     found = refined(splines, lines, found, 1.0, parallax)
-    steep = np.asarray(1 - np.minimum(gentle(heights), gentle(found)))
+    steep = np.asarray(1 - np.minimum(gentle(heights, WALL), gentle(found, WALL)))
     around = np.ones((2 * NEAR_WALL_PX + 1, 2 * NEAR_WALL_PX + 1), np.uint8)
     near = shared(cv2.dilate(steep, around), NEAR_WALL_PX / 2)
     return np.asarray(heights + near * (found - heights))

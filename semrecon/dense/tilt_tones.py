@@ -28,7 +28,7 @@ from semrecon.dense.spline import Float
 
 STEEP_BLUR_PX = 2.0
 """Standard deviation of the blur under which steepness is judged ..."""
-STEEP = 1.0
+STEEP = 2.0
 """... and the slope at which the tone counts half."""
 MISFIT_BLUR_PX = 1.0
 NOISE_LEFT = 1 / np.sqrt(4 * np.pi * MISFIT_BLUR_PX**2)
@@ -161,10 +161,16 @@ def misfit(views: Float, lines: Sightlines, heights: Array, black: float | None,
     return np.asarray(np.where(excess > 0, total / np.maximum(excess, 1), np.nan))
 
 
-def gentle(heights: Array) -> Float:
-    """Weigh places by how far they are from steep, (rows, columns), 0 to 1."""
+def gentle(heights: Array, steep: float = STEEP) -> Float:
+    """Weigh places by how far they are from steep, (rows, columns), 0 to 1.
+
+    Parameters
+    ----------
+    steep
+        Slope at which the weight is a half.
+    """
     steepness = np.hypot(*slopes(shared(heights, STEEP_BLUR_PX).astype(np.float64)))
-    return np.asarray(1 / (1 + (steepness / STEEP) ** 4), dtype=np.float32)
+    return np.asarray(1 / (1 + (steepness / steep) ** 4), dtype=np.float32)
 
 
 @numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
