@@ -25,6 +25,7 @@ from benchmarks.bars.limit import efficiency_lines
 from benchmarks.bars.line import INF, TOLD, Asked, Line, mean_over_specimens, ratio_over_specimens, worst_of
 from benchmarks.bars.plan import Found, plan_of
 from benchmarks.bars.specimens import FIRST_SEED, Specimens
+from benchmarks.bars.start import from_truth
 from benchmarks.bars.study import Study, run_bars
 from benchmarks.judging.efficiency import scene_limit
 from benchmarks.judging.paired import Interval
@@ -39,6 +40,7 @@ from semrecon.data import Estimate, HeightMap, Optics, PointCloud, Poses, TiltSe
 from semrecon.errors import InputError
 from semrecon.geometry import nominal_poses, rotations_from_tilts
 from semrecon.methods import KnownRotation
+from semrecon.methods.dense_multiview import DenseMultiview
 from semrecon.reconstruction import Reconstruction
 from semrecon.surface.completion import complete, points_from_heights
 from semsim.microscope import Microscope, TiltSchedule
@@ -258,6 +260,17 @@ def test_at_the_same_points_truth_is_right_and_points_are_as_wrong_as_they_are(g
     assert raised["same_points_in_pits"] == pits.mean()
 
 
+def test_the_last_stages_begun_at_the_true_surface_stay_near_it(grain: Specimens) -> None:
+    scene = grain.of("pollen")[0]
+    series, truth = scene.series(0), scene.source.truth()
+    true_um = truth.height_map(series.reference)
+    errors = from_truth(DenseMultiview(), series, truth) - true_um
+    seen = scene.source.judgeable((series.reference, 1, 2), 1) & np.isfinite(true_um)
+    assert np.isfinite(errors).sum() == np.isfinite(true_um).sum()
+    off = errors[seen] - np.median(errors[seen])
+    assert 1e-3 < np.median(np.abs(off)) < 0.2 * np.std(true_um[seen])
+
+
 def test_pits_are_places_deeper_than_what_is_round_them() -> None:
     true = np.zeros((60, 80))
     true[20:25, 30:35], true[40:, 60:] = -5.0, -5.0  # a pit, and ground that is merely lower
@@ -299,12 +312,20 @@ def adjacent(specimens: Specimens, scores: dict) -> list[Line]:
 
 def test_a_bar_that_holds_and_one_that_fails_are_said_to(whole: Specimens) -> None:
     good, bad = (adjacent(whole, pair_scores(whole, ours)) for ours in (0.08, 0.2))
-    assert [line.verdict for line in good] == ["holds"] * 3
+    assert [line.verdict for line in good] == ["holds"] * 3 + ["", ""]
     assert good[0].measured.value == pytest.approx(0.1 * np.cbrt(1.1 * 1.2))
-    assert [line.verdict for line in bad] == ["fails"] * 3
+    assert [line.verdict for line in bad] == ["fails"] * 3 + ["", ""]
     holed = adjacent(whole, pair_scores(whole, 0.08, 0.9))
-    assert holed[-1].what.endswith("at the pixels that dense_multiview answers")
+    assert holed[-3].what.endswith("at the pixels that dense_multiview answers")
     assert "completeness 90 %" in holed[0].note
+
+
+def test_the_bar_on_adjacent_views_tells_what_a_true_start_would_bring(whole: Specimens) -> None:
+    scores = pair_scores(whole, 0.2)
+    begun = {"from_truth_ratio": 1.1, "from_truth_rms_ratio": 0.6}
+    scores = {key: value | begun if key[1] == DENSE else value for key, value in scores.items()}
+    told = [line for line in adjacent(whole, scores) if line.asked.anything]
+    assert [line.measured.value for line in told] == pytest.approx([1.1, 0.6])
 
 
 def test_a_specimen_without_an_answer_fails_the_bar_with_its_sentence(whole: Specimens) -> None:

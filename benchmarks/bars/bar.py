@@ -14,6 +14,7 @@ from benchmarks.bars.entrants import DENSE, SEED
 from benchmarks.bars.line import Line
 from benchmarks.bars.plan import Found, Question
 from benchmarks.bars.specimens import Specimens
+from benchmarks.bars.start import begun_at_truth
 from benchmarks.running.case import Case
 from benchmarks.running.runner import Job
 from benchmarks.suite import BenchScene
@@ -128,7 +129,13 @@ def _against_pair(name: str, *, widest: bool) -> Bar:
         f"Median error at all judged pixels over that of {SEED} at its points on {which}.",
         partial(depth.pair_lines, bar=name, widest=widest),
         partial(depth.pair_questions, widest=widest),
+        (lambda *_: []) if widest else _truth_derivations,
     )
+
+
+def _truth_derivations(specimens: Specimens, answered: Answered, ledger: Path) -> list[Derivation]:
+    asked = [(scene.name, DENSE) for name in depth.TWO_VIEW_SCENES for scene in specimens.of(name)]
+    return [(begun_at_truth, (ledger, answered[each])) for each in asked if each in answered]
 
 
 def _diatom_derivations(specimens: Specimens, answered: Answered, ledger: Path) -> list[Derivation]:

@@ -44,6 +44,11 @@ def pair_lines(specimens: Specimens, found: Found, *, bar: str, widest: bool) ->
     if (found.numbers(every, DENSE, "completeness") < 1).any():
         what = f"{said}, at the pixels that {DENSE} answers"
         lines.append(Line(bar, what, asked, ratio_over_specimens(own), detail=True))
+    told = (("median", "from_truth_ratio"), ("rms", "from_truth_rms_ratio"))
+    for which, metric in () if widest else told:
+        what = f"{which} error if cameras and shading began at the true surface, over that of the answer"
+        ratios = [_known(found.numbers(scenes, DENSE, metric)) for scenes in groups.values()]
+        lines.append(Line(bar, what, TOLD, ratio_over_specimens(ratios), detail=True))
     return lines
 
 
