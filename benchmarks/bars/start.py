@@ -37,17 +37,21 @@ def begun_at_truth(ledger: Path, case: Case) -> tuple[tuple[str, str], Numbers]:
     Returns
     -------
     Names of scene and method; `from_truth_ratio` and `from_truth_rms_ratio`, median absolute and rms error from the
-    true start over those of the answer, at the pixels that both have, each less the median of its errors.
+    true start over those of the answer, at the pixels that both have, each less the median of its errors; nothing where
+    one of them has none.
     """
     source, series = case.scene.source, handed(case.scene.series(case.repetition), case.method)
     answer = unpacked(BenchLedger(ledger).answer(case).estimate).heights
     true_um = source.truth().height_map(series.reference)
     others = tuple(view for view in range(len(series)) if view != series.reference)
     judged = source.judgeable((series.reference, *others), 1) & np.isfinite(true_um)
-    begun_um = from_truth(DenseMultiview(), series, source.truth())
     if answer is None or not (judged & np.isfinite(answer.z_um)).any():
         return (case.scene.name, case.method.name), {}
     both = judged & np.isfinite(answer.z_um)
+    try:
+        begun_um = from_truth(DenseMultiview(), series, source.truth())
+    except MethodError:  # no features: the line is told of the other specimens
+        return (case.scene.name, case.method.name), {}
     ours, given = (_errors(each, true_um, both) for each in (answer.z_um, begun_um))
     numbers = {
         "from_truth_ratio": float(np.median(np.abs(given)) / np.median(np.abs(ours))),
