@@ -9,7 +9,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from benchmarks.bars.derived import Numbers
 from benchmarks.judging.evaluate import true_heights
@@ -17,7 +16,7 @@ from benchmarks.running.bench_ledger import BenchLedger
 from benchmarks.running.case import Case, handed
 from benchmarks.running.stored import unpacked
 from semrecon.data import Array, Mask, TiltSeries
-from semrecon.dense.pictures import prepared
+from semrecon.dense.pictures import filled, prepared
 from semrecon.dense.shading import ShadingOptions, shaded
 from semrecon.dense.sightlines import sightlines
 from semrecon.dense.spline import spline_of
@@ -63,6 +62,8 @@ def begun_at_truth(ledger: Path, case: Case) -> tuple[tuple[str, str], Numbers]:
 def from_truth(method: DenseMultiview, series: TiltSeries, truth: GroundTruth) -> Array:
     """Take cameras from features as the method does, and let its last stages begin at the true surface.
 
+    Shading counts everywhere: a choice between it and where it began would be one between it and the truth.
+
     Returns
     -------
     Heights (rows, columns), um, a number everywhere.
@@ -75,8 +76,7 @@ def from_truth(method: DenseMultiview, series: TiltSeries, truth: GroundTruth) -
     aligned = align(series, method.correspondence, method.refinement, np.random.default_rng(SEED))
     pictures = [prepared(view) for view in series.views]
     true_px = truth.height_map(series.reference) / series.optics.pixel_size_um
-    nearest = distance_transform_edt(np.isnan(true_px), return_distances=False, return_indices=True)
-    heights = true_px[tuple(nearest)] + _offset_px(series, aligned, truth)
+    heights = filled(true_px, np.isfinite(true_px)) + _offset_px(series, aligned, truth)
     splines = [spline_of(picture) for picture in pictures]
     tilt_sigma_deg = method.refinement.tilt_sigma_deg
     aligned, heights = with_tones(series, aligned, splines, heights, method.parallax, tilt_sigma_deg)
