@@ -200,12 +200,51 @@ def test_tiles_that_contradict_one_another_are_told_from_noise():
     assert tone_equations(replace(drawn, values=bent.astype(np.float32)), cams, 0, optics).excess > 5
 
 
-def test_cameras_stay_where_the_tiles_contradict_one_another(monkeypatch):
+def test_silent_equations_leave_what_was_known():
+    cams, optics = cameras()
+    equations = tone_equations(pictures(), cams, 0, optics)
+    silent = equations.silent()
+    assert silent.excess == 1
+    covariance = np.diag(np.r_[np.tile([0.01, 0.01, 1e-6, 1e-6, 1e-6], 4), 1e-6])
+    found, spread = combined(silent, Stage(TILTS, 1e3), cams, cams, covariance)
+    np.testing.assert_allclose(found.vector, cams.vector, atol=1e-12)
+    np.testing.assert_allclose(spread, covariance, rtol=1e-6)
+
+
+def test_where_the_tiles_contradict_one_another_stage_and_features_share_the_say(monkeypatch):
+    """The features know better than the stage here, but nobody can tell: 0.2 degrees against 0.1, with a long tail."""
     monkeypatch.setattr("semrecon.methods.cameras_from_tones.MOST_EXCESS", 0.5)
-    aligned, kept, heights = refined_tilts((0.0, 5.1, 10.0, 15.0))
+    stated = np.array([0.0, 5.1, 10.0, 15.0])
+    aligned, kept, _ = refined_tilts(tuple(stated))
     assert kept.diagnostics["tone_excess"] >= 1
-    np.testing.assert_array_equal(kept.tilts_deg, aligned.tilts_deg)
-    np.testing.assert_array_equal(heights, rugged()[1])
+    apart = [each.tilts_deg[1] - each.tilts_deg[[0, 2]].mean() for each in (aligned, kept)]
+    assert 0.03 < apart[1] < 0.1
+    assert apart[0] < apart[1] - 0.02
+    assert kept.diagnostics["tilt_sigma_deg"][1] > 0.05
+
+
+def test_places_that_views_show_differently_have_no_say(monkeypatch):
+    """A third of the middle views is stretched, as wrong tilts would have it but by pixels: it lies somewhere else."""
+    series, relief = rugged()
+    aligned = align(series, CorrespondenceOptions(), RefinementOptions(), np.random.default_rng(0))
+    views = list(series.views)
+    for number in (1, 2):
+        image = views[number].image.astype(float)
+        y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+        middle = (image.shape[1] - 1) / 2
+        stretched = map_coordinates(image, [y, x - 4 * (x - middle) / middle], order=3, mode="nearest")
+        image[: len(image) // 3] = stretched[: len(image) // 3]
+        views[number] = replace(views[number], image=image.round().clip(0, 255))
+    spoiled = [spline_of(prepared(view)) for view in views]
+
+    def refined_again():
+        return with_tones(series, aligned, spoiled, relief, ParallaxOptions(), 0.1)[0]
+
+    found = refined_again()
+    assert found.diagnostics["tone_excess"] < 2
+    assert np.abs(found.tilts_deg - found.tilts_deg[0] - [0, 5, 10, 15]).max() < 0.06
+    monkeypatch.setattr("semrecon.methods.cameras_from_tones.APART", 1e9)
+    assert refined_again().diagnostics["tone_excess"] > 10
 
 
 def test_heights_move_along_with_the_cameras():

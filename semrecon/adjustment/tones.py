@@ -81,6 +81,10 @@ class ToneEquations:
         known = information > LEAST_INFORMATION
         return max(float(np.mean(scatter[known] / information[known])), 1.0) if known.any() else 1.0
 
+    def silent(self) -> ToneEquations:
+        """Equations of images that say nothing of the cameras."""
+        return ToneEquations(*(np.zeros_like(each) for each in (self.matrix, self.right, self.scatter)))
+
 
 def tone_equations(drawn: Drawn, cameras: Cameras, reference: int, optics: Optics) -> ToneEquations:
     """Compare all views at the present heights and cameras.
