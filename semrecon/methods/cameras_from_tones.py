@@ -73,8 +73,9 @@ def with_tones(
     contradicted = False
     for turn in range(ROUNDS):
         before = _lines(cameras, series)
-        equations = tone_equations(_drawn(splines, before, heights, options), cameras, reference, series.optics)
-        contradicted |= turn == 0 and equations.excess > MOST_EXCESS
+        if not contradicted:
+            equations = tone_equations(_drawn(splines, before, heights, options), cameras, reference, series.optics)
+            contradicted = turn == 0 and equations.excess > MOST_EXCESS
         heard = equations.silent() if contradicted else equations
         cameras, spread = combined(heard, stage, cameras, known, covariance)
         after = _lines(cameras, series)
