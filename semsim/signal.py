@@ -119,7 +119,7 @@ def secondary_rate(
         glow = edge_glow(buffer, pose, microscope.pixel_size_um, options.escape_depth_um)
         rate *= edge_response(glow, options.edge_strength)
     if options.shadowing > 0:
-        sky = sky_visibility(buffer, pose, microscope.pixel_size_um, options.shadow_reach_um)
+        sky = sky_visibility(buffer, mesh, microscope.pixel_size_um, options.shadow_reach_um)
         rate *= shadow_response(sky, options.shadowing)
     rate[buffer.miss] = options.background
     return rate
