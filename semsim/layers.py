@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from semsim.bands import in_bands
 from semsim.mesh import Array, Mesh
+from semsim.zbuffer import Index, row_spans
 
-Index = NDArray[np.int32]
 MOST_LINES = 1 << 25
 """A larger lattice is made coarser: this many lines already take some hundreds of megabytes."""
 
@@ -69,7 +69,7 @@ def layers(mesh: Mesh, low_um: Array, high_um: Array, step_um: float) -> Layers:
     box = (int(row), int(row + rows), int(column), int(column + columns))
     corners = mesh.vertices_um / (step_um, step_um, 1.0)
     span = np.empty((2, len(mesh.faces)), dtype=np.int32)
-    in_bands(len(mesh.faces), lambda i, j: _row_spans(i, j, corners, mesh.faces, *box, span))
+    in_bands(len(mesh.faces), lambda i, j: row_spans(i, j, corners, mesh.faces, *box, span))
     parts: dict[int, tuple[Index, Array]] = {}
 
     def fill(top: int, bottom: int) -> None:
@@ -82,31 +82,6 @@ def layers(mesh: Mesh, low_um: Array, high_um: Array, step_um: float) -> Layers:
     start = np.zeros(len(number) + 1, dtype=np.int32)
     np.cumsum(number, out=start[1:])
     return Layers(step_um, (box[0], box[2]), (int(rows), int(columns)), start, ends)
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _row_spans(
-    start: int,
-    stop: int,
-    corners: Array,
-    faces: Index,
-    first_row: int,
-    end_row: int,
-    first_column: int,
-    end_column: int,
-    span: Index,
-) -> None:  # pragma: no cover - compiled
-    """First row and the row after the last that each triangle meets inside the box; none: both the same."""
-    for f in range(start, stop):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        left = np.ceil(min(corners[a, 0], corners[b, 0], corners[c, 0]))
-        right = np.ceil(max(corners[a, 0], corners[b, 0], corners[c, 0]))
-        span[0, f] = span[1, f] = first_row
-        if left < right and left < end_column and right > first_column:
-            low = np.ceil(min(corners[a, 1], corners[b, 1], corners[c, 1]))
-            high = np.ceil(max(corners[a, 1], corners[b, 1], corners[c, 1]))
-            if low < high and low < end_row and high > first_row:
-                span[0, f], span[1, f] = max(low, first_row), min(high, end_row)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -40,8 +40,10 @@ def rasterise(mesh: Mesh, microscope: Microscope, pose: Pose) -> tuple[Array, In
     if microscope.working_distance_um is not None:
         raise InputError("backend zbuffer draws parallel projection only; with working_distance_um use raycast")
     corners = image_coordinates(microscope, pose, mesh.vertices_um)
-    span = np.empty((2, len(mesh.faces)), dtype=np.int32)
-    in_bands(len(mesh.faces), lambda start, stop: _row_spans(start, stop, corners, mesh.faces, *microscope.shape, span))
+    span, (rows, columns) = np.empty((2, len(mesh.faces)), dtype=np.int32), microscope.shape
+    in_bands(
+        len(mesh.faces), lambda start, stop: row_spans(start, stop, corners, mesh.faces, 0, rows, 0, columns, span)
+    )
     depth, face = np.empty(microscope.shape), np.empty(microscope.shape, dtype=np.int32)
     in_bands(len(depth), lambda top, bottom: _draw_band(top, bottom, corners, mesh.faces, span, depth, face))
     return depth, face
@@ -69,26 +71,28 @@ def _turn(
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _row_spans(
-    start: int, stop: int, corners: Array, faces: Index, rows: int, columns: int, span: Index
+def row_spans(
+    start: int,
+    stop: int,
+    corners: Array,
+    faces: Index,
+    first_row: int,
+    end_row: int,
+    first_column: int,
+    end_column: int,
+    span: Index,
 ) -> None:  # pragma: no cover - compiled
-    """First row and the row after the last that each triangle meets inside the picture; none: both 0."""
+    """First row and the row after the last that each triangle meets inside the box; none: both the same."""
     for f in range(start, stop):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        left = min(corners[a, 0], corners[b, 0], corners[c, 0])
-        right = max(corners[a, 0], corners[b, 0], corners[c, 0])
-        top = min(corners[a, 1], corners[b, 1], corners[c, 1])
-        bottom = max(corners[a, 1], corners[b, 1], corners[c, 1])
-        span[0, f] = span[1, f] = 0
-        if (
-            np.ceil(left) < np.ceil(right)
-            and right > 0.0
-            and left <= columns - 1.0
-            and bottom > 0.0
-            and top <= rows - 1.0
-        ):
-            span[0, f] = max(0, int(np.ceil(top)))
-            span[1, f] = min(rows, int(np.ceil(bottom)))
+        left = np.ceil(min(corners[a, 0], corners[b, 0], corners[c, 0]))
+        right = np.ceil(max(corners[a, 0], corners[b, 0], corners[c, 0]))
+        span[0, f] = span[1, f] = first_row
+        if left < right and left < end_column and right > first_column:
+            low = np.ceil(min(corners[a, 1], corners[b, 1], corners[c, 1]))
+            high = np.ceil(max(corners[a, 1], corners[b, 1], corners[c, 1]))
+            if low < high and low < end_row and high > first_row:
+                span[0, f], span[1, f] = max(low, first_row), min(high, end_row)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from joined_meshes import inside_out, sheet, together
 
 from semsim import layers as module
 from semsim.layers import layers
@@ -14,18 +15,6 @@ def box(low, high) -> Mesh:
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [half for a, b, c, d in quads for half in ((a, b, c), (a, c, d))]
     return Mesh(np.array(corners, dtype=float), np.array(faces, dtype=np.int32))
-
-
-def sheet(z: float) -> Mesh:
-    return Mesh(
-        np.array([(-9.0, -9, z), (9, -9, z), (9, 9, z), (-9, 9, z)]), np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    )
-
-
-def together(*meshes: Mesh) -> Mesh:
-    first = np.cumsum([0, *(len(mesh.vertices_um) for mesh in meshes)])
-    faces = np.concatenate([mesh.faces + k for mesh, k in zip(meshes, first, strict=False)])
-    return Mesh(np.concatenate([mesh.vertices_um for mesh in meshes]), faces.astype(np.int32))
 
 
 def solids(mesh: Mesh, x: float, y: float, step_um: float = 0.5):
@@ -43,21 +32,21 @@ SUNK, OVERLAPPING = box((-2.2, -2.2, -4), (2.2, 2.2, 2)), box((-1.2, -1.2, 2), (
     ("parts", "expected"),
     [
         ((LOW, HIGH), [(6, 5), (3, 1)]),
-        ((LOW, HIGH, sheet(0.0)), [(6, 5), (3, 1), (0, -np.inf)]),
-        ((SUNK, sheet(0.0)), [(2, -np.inf)]),
+        ((LOW, HIGH, sheet(0.0, 9.0)), [(6, 5), (3, 1), (0, -np.inf)]),
+        ((SUNK, sheet(0.0, 9.0)), [(2, -np.inf)]),
         ((LOW, OVERLAPPING), [(7, 1)]),
-        ((sheet(4.0), LOW), [(4, -np.inf)]),
+        ((sheet(4.0, 9.0), LOW), [(4, -np.inf)]),
     ],
     ids=["two in the air", "over a sheet", "sunk in a sheet", "overlapping", "under a sheet"],
 )
 def test_solids_are_counted_whichever_way_the_mesh_turns(parts, expected):
     mesh = together(*parts)
     assert solids(mesh, 0.5, -1.0) == expected
-    assert solids(Mesh(mesh.vertices_um, np.ascontiguousarray(mesh.faces[:, ::-1])), 0.5, -1.0) == expected
+    assert solids(inside_out(mesh), 0.5, -1.0) == expected
 
 
 def test_lines_stand_in_the_world_and_not_in_the_box():
-    mesh = together(LOW, HIGH, sheet(0.0))
+    mesh = together(LOW, HIGH, sheet(0.0, 9.0))
     whole = layers(mesh, np.array([-9.0, -9.0]), np.array([9.0, 9.0]), 0.3)
     part = layers(mesh, np.array([-1.07, 0.2]), np.array([3.4, 2.9]), 0.3)
     assert part.shape == (9, 15)
@@ -77,6 +66,6 @@ def test_a_box_beside_the_mesh_holds_nothing():
 
 def test_a_lattice_too_large_is_made_coarser(monkeypatch):
     monkeypatch.setattr(module, "MOST_LINES", 100)
-    found = layers(sheet(0.0), np.array([-9.0, -9.0]), np.array([9.0, 9.0]), 0.5)
+    found = layers(sheet(0.0, 9.0), np.array([-9.0, -9.0]), np.array([9.0, 9.0]), 0.5)
     assert found.step_um == 2.0
     assert np.prod(found.shape) <= 100

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from joined_meshes import inside_out, sheet, together
 
 from semsim.mesh import Mesh
 from semsim.microscope import Microscope, TiltSchedule, poses, project
@@ -44,21 +45,6 @@ def ball(x: float, y: float, z: float, radius: float) -> Mesh:
         for corners in ((k, 96 + k, 96 + after), (k, 96 + after, after))
     ]
     return Mesh(vertices, np.concatenate([*caps, *belts]).astype(np.int32))
-
-
-def together(*meshes: Mesh) -> Mesh:
-    first = np.cumsum([0, *(len(mesh.vertices_um) for mesh in meshes)])
-    faces = np.concatenate([mesh.faces + k for mesh, k in zip(meshes, first, strict=False)])
-    return Mesh(np.concatenate([mesh.vertices_um for mesh in meshes]), faces.astype(np.int32))
-
-
-def sheet(z: float = 0.0, width: float = 60.0) -> Mesh:
-    corners = [(-width, -width, z), (width, -width, z), (width, width, z), (-width, width, z)]
-    return Mesh(np.array(corners), np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32))
-
-
-def inside_out(mesh: Mesh) -> Mesh:
-    return Mesh(mesh.vertices_um, np.ascontiguousarray(mesh.faces[:, ::-1]))
 
 
 def photographed(mesh: Mesh, tilt_deg: float = 0.0, axis_deg: float = 0.0, microscope: Microscope = MICROSCOPE):
